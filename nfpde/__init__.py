@@ -1,0 +1,1 @@
+"""Distributions over a MuJoCo model's parameters from logs of real robots."""

@@ -1,0 +1,1 @@
+"""Warp kernels: imports warp and nothing of nfpde."""
