@@ -1,0 +1,11 @@
+"""Recordings of real robots: episodes, data sets, windows, and the files that hold them."""
+
+from nfpde.dataset.columns import ColumnNames as ColumnNames
+from nfpde.dataset.dataset import Dataset as Dataset
+from nfpde.dataset.episode import Episode as Episode
+from nfpde.dataset.files import load_dataset as load_dataset
+from nfpde.dataset.files import save_dataset as save_dataset
+from nfpde.dataset.metadata import Metadata as Metadata
+from nfpde.dataset.resample import resample_episode as resample_episode
+from nfpde.dataset.resample import split_episode_at_gaps as split_episode_at_gaps
+from nfpde.dataset.windows import Windows as Windows

@@ -1,0 +1,100 @@
+"""The .npz format: one array a field, every episode below the other."""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nfpde.dataset.columns import GROUPS, ColumnNames
+from nfpde.dataset.dataset import Dataset
+from nfpde.dataset.metadata import Metadata
+from nfpde.dataset.recording import Recording, check_extra
+from nfpde.dataset.rows import episodes_of_rows, label_texts, rows_of_episodes
+from nfpde.errors import BadDataset
+
+_REQUIRED = ("episode", "time", "qpos", "qvel", "ctrl")
+_NAMES = tuple(f"{group}_names" for group in GROUPS)
+
+
+def read_npz(path: Path) -> Recording:
+    """Read a .npz file; nothing in it is ever unpickled.
+
+    Args:
+        path: File with arrays `episode` (R,), `time` (R,), `qpos` (R, nq), `qvel` (R, nv), `ctrl` (R, nu) and,
+            where known, `robot` (R,), `metadata` (JSON text), `qpos_names`, `qvel_names`, `ctrl_names`.
+
+    Returns:
+        Its content, time steps not yet checked.
+
+    Raises:
+        BadDataset: The file cannot be read, or its arrays break a rule.
+    """
+    arrays = _read_arrays(path)
+    missing = [name for name in _REQUIRED if name not in arrays]
+    if missing:
+        found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "none"
+        raise BadDataset(
+            f"missing array(s) {', '.join(missing)}; arrays found: {found}. Needed are episode (R,), time (R,) [s], "
+            "qpos (R, nq), qvel (R, nv) and ctrl (R, nu); for a passive system save ctrl with shape (R, 0)."
+        )
+    extra = [name for name in arrays if name not in (*_REQUIRED, *_NAMES, "robot", "metadata")]
+    check_extra(extra)
+    rows = {name: arrays[name] for name in (*_REQUIRED, "robot") if name in arrays}
+    names = {
+        group: label_texts(arrays[f"{group}_names"], f"{group}_names").tolist()
+        for group in GROUPS
+        if f"{group}_names" in arrays
+    }
+    return Recording(
+        episodes=episodes_of_rows(**rows),
+        metadata=Metadata.from_json(_text(arrays["metadata"])) if "metadata" in arrays else Metadata(),
+        column_names=ColumnNames(**names),
+        extra_columns=tuple(extra),
+    )
+
+
+def write_npz(dataset: Dataset, path: Path) -> None:
+    """Write a data set as .npz (see `read_npz`), numbers unchanged bit by bit.
+
+    Args:
+        dataset: The data set.
+        path: File to write.
+    """
+    arrays: dict[str, Any] = rows_of_episodes(dataset.episodes)
+    if all(name.isascii() and name.isdecimal() and str(int(name)) == name and len(name) < 16 for name in dataset.names):
+        arrays["episode"] = arrays["episode"].astype(np.int64)
+    for group in GROUPS:
+        if getattr(dataset.column_names, group) is not None:
+            arrays[f"{group}_names"] = np.array(getattr(dataset.column_names, group), dtype=str)
+    arrays["metadata"] = np.array(dataset.metadata.to_json())
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise BadDataset("the file holds a single array; a .npz archive of named arrays is needed (numpy.savez).")
+        with archive:
+            arrays = {}
+            for name in archive.files:
+                try:
+                    arrays[name] = archive[name]
+                except ValueError as error:
+                    raise BadDataset(
+                        f"array {name} cannot be read ({error}). Arrays of Python objects would have to be unpickled, "
+                        "which could run code: save it as numbers or text."
+                    ) from None
+            return arrays
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise BadDataset(f"the file cannot be read as .npz ({error}); write it with numpy.savez.") from None
+
+
+def _text(array: np.ndarray) -> str:
+    if array.dtype.kind != "U" or array.ndim != 0:
+        raise BadDataset(
+            f"the array metadata has type {array.dtype} and shape {array.shape}; it must be one JSON text."
+        )
+    return str(array)
