@@ -1,0 +1,43 @@
+"""Commands that reach the actuators late."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from nfpde.effects.effect import Array, Effect, Quantity
+from nfpde.effects.registry import register
+
+
+@register
+class ActuationDelay(Effect):
+    """A pure delay between a command and the actuator that receives it.
+
+    The command is held constant between physics steps, so a delay that is no multiple of the time step gives each
+    step the average of the two commands it overlaps: exact on average, and continuous in the delay.
+    """
+
+    name = "actuation_delay"
+    kind = "actuator"
+    quantities = (Quantity("delay", "s", 0.0, 1.0, neutral=0.0),)
+    default_bounds: ClassVar[dict[str, tuple[float, float]]] = {"delay": (0.0, 0.1)}
+    sentence = "Commands act late: communication and drive electronics hold them back."
+    confounders = ("observation_delay", "actuator_lag")
+
+    def memory_time(self) -> float:
+        """The longest delay [s]."""
+        return self.parameters[0].high
+
+    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
+        """Shift the commands of the target's actuators by the delay; the first one holds before the start."""
+        steps = ctrl.shape[1]
+        late = values[:, 0] / timestep
+        whole = np.floor(late + 1e-9)
+        share = np.clip(late - whole, 0.0, 1.0)[:, None, None]
+        index = np.arange(steps)[None, :] - whole[:, None].astype(int)
+        rows = np.arange(len(ctrl))[:, None]
+        chosen = ctrl[:, :, self.ids]
+        newer = chosen[rows, np.clip(index, 0, None)]
+        older = chosen[rows, np.clip(index - 1, 0, None)]
+        out = ctrl.copy()
+        out[:, :, self.ids] = (1 - share) * newer + share * older
+        return out

@@ -1,0 +1,180 @@
+"""What an effect is: a piece of physics that the nominal model lacks, with a few parameters of its own.
+
+An effect may act in four places, and overrides the method of each place where it does:
+
+=============== ==========================================================================================
+`write_model`   fields of the mjModel, once per parameter vector (MuJoCo knows the mechanism)
+`command`       the commands on their way to the actuators, at every physics step, with the past commands
+`step`          forces, or fields that follow the state, before every physics step
+`measurement`   what the sensors report: `to_measured` and its inverse `to_simulated`
+=============== ==========================================================================================
+
+With its parameters at their neutral values an effect does nothing, which is how rows of one batch carry different
+effects: every row has all the parameters, and those of the effects it does not have are neutral.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.elements import element_ids, joint_dofs, joint_qpos
+from nfpde.errors import BadEffect
+from nfpde.parameters import Parameter, Target
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One parameter of an effect: its unit, the values physics allows, and the value at which it does nothing."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float
+    """Where the effect vanishes; for a parameter that only shapes an effect (a speed scale), any typical value."""
+    shape_only: bool = False
+    """True for a parameter whose value alone cannot make the effect neutral or not."""
+
+
+@dataclass
+class World:
+    """What an effect sees and changes before every physics step; R rows are simulated side by side.
+
+    qpos: positions                                          (R, nq)
+    qvel: velocities                                         (R, nv)
+    ctrl: commands of this physics step                      (R, nu)
+    qfrc_applied: forces of effects, to be added to          (R, nv)
+    fields: model fields an effect named in `step_fields`,
+      reset before every step to the row's own, to be changed (R, ...)
+    memory: what an effect keeps from step to step, empty at the start of every window
+    """
+
+    model: mujoco.MjModel
+    qpos: Array
+    qvel: Array
+    ctrl: Array
+    qfrc_applied: Array
+    fields: dict[str, Array] = field(default_factory=dict)
+    memory: dict[object, Array] = field(default_factory=dict)
+
+
+class Effect:
+    """Base of all effects; see the module's text for the four places where one may act.
+
+    Args:
+        target: the element it acts on: name, id or `#<id>`; None for an effect on the whole robot or world.
+        **bounds: (low, high) for each parameter that the fit may vary, within what physics allows. Parameters
+            without default bounds need them.
+
+    Raises:
+        BadEffect: unknown parameter, bounds missing or outside what physics allows.
+    """
+
+    name: ClassVar[str]
+    kind: ClassVar[str | None]
+    """Kind of element it acts on (`joint`, `actuator`, `body`), or None."""
+    quantities: ClassVar[tuple[Quantity, ...]]
+    default_bounds: ClassVar[dict[str, tuple[float, float]]] = {}
+    step_fields: ClassVar[tuple[str, ...]] = ()
+    """mjModel fields that `step` writes."""
+    sentence: ClassVar[str]
+    """What it is, for a roboticist."""
+    confounders: ClassVar[tuple[str, ...]] = ()
+    """Effects that explain much of the same data."""
+
+    ids: Rows
+    dofs: Rows
+    qposadr: Rows
+
+    def __init__(self, target: Target = None, **bounds: Sequence[float]) -> None:
+        if self.kind is None and target is not None:
+            raise BadEffect(f"{self.name} acts on the whole robot and takes no target, got {target!r}")
+        if self.kind is not None and target is None:
+            raise BadEffect(f"{self.name} needs a target: the {self.kind} it acts on")
+        self.target = target
+        known = [q.name for q in self.quantities]
+        unknown = sorted(set(bounds) - set(known))
+        if unknown:
+            raise BadEffect(f"{self.name} has no parameter {unknown[0]!r}; it has: {', '.join(known)}")
+        self.parameters = tuple(self._parameter(q, bounds.get(q.name)) for q in self.quantities)
+
+    def _parameter(self, q: Quantity, bounds: Sequence[float] | None) -> Parameter:
+        if bounds is None:
+            bounds = self.default_bounds.get(q.name)
+        if bounds is None or len(bounds) != 2:
+            raise BadEffect(
+                f"{self.name}: give bounds for {q.name}, as {q.name}=(low, high) in {q.unit}"
+                + ("" if bounds is None else f"; got {bounds!r}")
+            )
+        low, high = bounds
+        if not (q.low <= low and high <= q.high):
+            raise BadEffect(
+                f"{self.name}: {q.name} must stay within [{q.low:g}, {q.high:g}] {q.unit}, got ({low:g}, {high:g})"
+            )
+        return Parameter(f"{self.name}.{q.name}", self.target, low, high, unit=q.unit)
+
+    def bind(self, model: mujoco.MjModel) -> Effect:
+        """A copy that knows the ids of its target: `ids`, and for a joint `dofs` and `qposadr`.
+
+        Raises:
+            BadEffect: the model has no such element, or the effect cannot act on it.
+        """
+        bound = copy.copy(self)
+        if self.kind is not None:
+            bound.ids = element_ids(model, self.kind, self.target, self.name, BadEffect)
+        if self.kind == "joint":
+            bound.dofs = joint_dofs(model, bound.ids)
+            bound.qposadr = joint_qpos(model, bound.ids)
+        return bound
+
+    def active(self, values: Array) -> NDArray[np.bool_]:
+        """Which rows of values (R, P) differ from neutral, (R,)."""
+        decisive = [i for i, q in enumerate(self.quantities) if not q.shape_only]
+        neutral = np.array([self.quantities[i].neutral for i in decisive])
+        return (values[:, decisive] != neutral).any(1)
+
+    def memory_time(self) -> float:
+        """How far back [s] the commands matter, at most, within the bounds of the parameters."""
+        return 0.0
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Change fields of the model for one parameter vector; values (P,). mj_setConst runs afterwards."""
+
+    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
+        """Commands as they reach the actuators.
+
+        Args:
+            ctrl: commands at every physics step, those before the window's start included, (R, S, nu).
+            values: the rows' parameters, (R, P).
+            timestep: of the physics [s].
+
+        Returns:
+            The changed commands, (R, S, nu).
+        """
+        return ctrl
+
+    def step(self, world: World, rows: Rows, values: Array) -> None:
+        """Act before a physics step on `rows` of the world (n,), with their parameters (n, P)."""
+
+    def to_simulated(self, state: Array, values: Array) -> Array:
+        """State of the simulation (..., nq+nv) behind a measured one; values (..., P)."""
+        return state
+
+    def to_measured(self, state: Array, values: Array) -> Array:
+        """What the sensors report (..., nq+nv) of a state of the simulation; values (..., P)."""
+        return state
+
+
+def overrides(effect: Effect, method: str) -> bool:
+    """Whether the effect's class overrides a method of `Effect`."""
+    return getattr(type(effect), method) is not getattr(Effect, method)

@@ -1,0 +1,66 @@
+"""The one registry of effects: name to class."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nfpde.effects.effect import Effect
+from nfpde.errors import BadEffect
+from nfpde.parameters import ParameterSpace, Target
+
+_REGISTRY: dict[str, type[Effect]] = {}
+
+
+def register(cls: type[Effect]) -> type[Effect]:
+    """Class decorator: make an effect known by its name.
+
+    Raises:
+        BadEffect: a name used twice, or not made of letters, digits and underscores.
+    """
+    if not cls.name.isidentifier() or cls.name == "opt":
+        raise BadEffect(f"an effect's name must be a plain identifier other than 'opt', got {cls.name!r}")
+    known = _REGISTRY.get(cls.name)
+    if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise BadEffect(f"an effect called {cls.name!r} is already registered ({known.__module__})")
+    _REGISTRY[cls.name] = cls
+    return cls
+
+
+def effect_names() -> list[str]:
+    """Names of all registered effects, sorted."""
+    return sorted(_REGISTRY)
+
+
+def effect(name: str, target: Target = None, **bounds: Sequence[float]) -> Effect:
+    """An effect by its name, on a target, with bounds for its parameters.
+
+    Raises:
+        BadEffect: no such effect (the message lists them), or arguments that `Effect` refuses.
+
+    Example:
+        >>> effect("actuation_delay", "*", delay=(0.0, 0.05)).parameters[0].name
+        'actuation_delay.delay:*'
+    """
+    if name not in _REGISTRY:
+        raise BadEffect(f"no effect is called {name!r}; known: {', '.join(effect_names())}")
+    return _REGISTRY[name](target, **bounds)
+
+
+def effects_in(space: ParameterSpace) -> list[Effect]:
+    """The effects whose parameters are in a space (fields like `coulomb_friction.torque`), in order.
+
+    Raises:
+        BadEffect: an effect of which only some parameters are there.
+    """
+    found: dict[tuple[str, Target], dict[str, tuple[float, float]]] = {}
+    for p in space:
+        head, _, tail = p.field.partition(".")
+        if tail and head in _REGISTRY:
+            found.setdefault((head, p.target), {})[tail] = (p.low, p.high)
+    effects = []
+    for (name, target), bounds in found.items():
+        missing = [q.name for q in _REGISTRY[name].quantities if q.name not in bounds]
+        if missing:
+            raise BadEffect(f"{name} on {target!r}: the space lacks its parameter {missing[0]!r}")
+        effects.append(effect(name, target, **bounds))
+    return effects

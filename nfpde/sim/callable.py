@@ -1,0 +1,59 @@
+"""A simulator made of a plain Python function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.errors import BadInput
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.simulator import Array, Simulator
+from nfpde.sim.states import StateSpace
+
+Step = Callable[[Array, Array, Array], Array]
+
+
+class CallableSimulator(Simulator):
+    """Wraps `step(state, ctrl, xi) -> next state`: an ODE, another engine, a learned model.
+
+    Args:
+        step: advances R rows by one control step: state (R, nq+nv), ctrl (R, nu), xi (R, D) to (R, nq+nv). NaN in a
+            row says that it diverged.
+        space: the parameters.
+        positions: names of the qpos columns.
+        velocities: names of the qvel columns; may be empty.
+
+    Example:
+        >>> from nfpde.parameters import Parameter
+        >>> space = ParameterSpace([Parameter("rate", low=0.0, high=2.0, unit="1/s")])
+        >>> decay = CallableSimulator(lambda x, u, xi: x * np.exp(-0.1 * xi), space, positions=["level"])
+    """
+
+    def __init__(
+        self, step: Step, space: ParameterSpace, positions: list[str], velocities: list[str] | None = None
+    ) -> None:
+        self.step = step
+        self.space = space
+        self.states = StateSpace.euclidean(positions, velocities or [])
+
+    def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
+        """Call the function once per control step with all rows; see `Simulator.rollout`.
+
+        Raises:
+            BadInput: the function returned another shape.
+        """
+        state = windows.state[window, 0]
+        rows = xi[vector]
+        out = np.empty((len(vector), windows.horizon, self.states.nx))
+        for h in range(windows.horizon):
+            state = np.asarray(self.step(state, windows.ctrl[window, h], rows), dtype=np.float64)
+            if state.shape != out[:, h].shape:
+                raise BadInput(f"step must return next states of shape {out[:, h].shape}, it returned {state.shape}")
+            out[:, h] = state
+        self.simulated_steps += len(vector) * windows.horizon
+        broken = ~np.isfinite(out).all(2)
+        out[np.logical_or.accumulate(broken, axis=1)] = np.nan
+        return out

@@ -1,0 +1,71 @@
+"""Finding parameters that change nothing: simulate random motion at both of their bounds."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from nfpde.dataset import Windows
+from nfpde.errors import BadParameter
+from nfpde.sim.simulator import Array, Simulator
+
+STARTS = 8
+"""Random motions each parameter is tried on."""
+
+LENGTHS = (5, 100, 1000)
+"""Physics steps of the trials; only what changed nothing in a short one goes into the next."""
+
+
+def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
+    """Raise unless every parameter changes some simulation, however little.
+
+    All other parameters are at random places in their bounds, because one may matter only through another.
+
+    Raises:
+        BadParameter: naming the parameters without influence.
+    """
+    rng = np.random.default_rng(0)
+    space = simulator.space
+    silent = np.arange(len(space))
+    for length in LENGTHS:
+        windows = random_windows(model, STARTS, length, simulator.history_steps(model.opt.timestep), rng)
+        base = space.uniform(1, rng).repeat(2 * len(silent), axis=0)
+        base[np.arange(len(silent)), silent] = space.low[silent]
+        base[np.arange(len(silent)) + len(silent), silent] = space.high[silent]
+        ends = simulator.predict(base, windows)
+        same = (ends[: len(silent)] == ends[len(silent) :]) | np.isnan(ends[: len(silent)])
+        silent = silent[same.all(axis=(1, 2, 3))]
+        if not len(silent):
+            return
+    names = ", ".join(f"{p.name} ({p.low:g} against {p.high:g})" for p in (space.parameters[i] for i in silent))
+    raise BadParameter(
+        f"{names}: changes nothing in {STARTS} random motions of {LENGTHS[-1]} steps. Typical causes: a contact takes "
+        "the larger friction of its two geoms; the element does not move or is overridden by another setting. Take the "
+        "parameter out, or pass check_influence=False if it matters only in states that random motion does not reach"
+    )
+
+
+def random_windows(model: mujoco.MjModel, n: int, length: int, history: int, rng: np.random.Generator) -> Windows:
+    """Windows of random commands from random states near the model's initial one; one physics step per command.
+
+    Only the starts and commands are meaningful: the later states are copies of the start.
+    """
+    limited = model.actuator_ctrllimited.astype(bool)
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -1.0)
+    high = np.where(limited, model.actuator_ctrlrange[:, 1], 1.0)
+    velocity = rng.normal(size=(n, model.nv))
+    position = np.tile(model.qpos0, (n, 1))
+    for row in position:
+        mujoco.mj_integratePos(model, row, 0.1 * rng.normal(size=model.nv), 1.0)
+    start: Array = np.concatenate([position, velocity], axis=1)
+    ctrl = low + (high - low) * rng.random((n, history + length, model.nu))
+    return Windows(
+        state=start[:, None].repeat(length + 1, axis=1),
+        ctrl=ctrl[:, history:],
+        history=ctrl[:, :history],
+        control_dt=float(model.opt.timestep),
+        nq=model.nq,
+        nv=model.nv,
+        episode=np.zeros(n, np.intp),
+        row=np.zeros(n, np.intp),
+    )

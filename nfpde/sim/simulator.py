@@ -1,0 +1,135 @@
+"""What nfpde asks of a simulator: set a state, step, compare. Nothing above this file knows which one runs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.errors import BadInput
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.states import StateSpace
+
+Array = NDArray[np.float64]
+
+LOSS_LIMIT = 1e12
+"""Loss of a simulation that diverged, and the most any loss can be."""
+
+CHUNK_ROWS = 4096
+"""Simulations whose states are held at once: enough to keep every core busy, some tens of megabytes."""
+
+
+class Simulator(ABC):
+    """A black box that predicts what a robot with parameters xi does under recorded commands.
+
+    To use your own, subclass and write `rollout`, or wrap a function in `CallableSimulator`.
+
+    Attributes:
+        space: the parameters, D of them, those of effects last.
+        states: the layout of a state and of the difference of two.
+        memory_time: how far back [s] commands matter; windows must hold that much history.
+        simulated_steps: physics steps taken so far, the unit in which estimators are compared.
+    """
+
+    space: ParameterSpace
+    states: StateSpace
+    memory_time: float = 0.0
+    simulated_steps: int = 0
+
+    @abstractmethod
+    def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
+        """Simulate R pairs open loop from the measured start of their window.
+
+        Args:
+            xi: parameter vectors, (M, D).
+            windows: N windows of H control steps.
+            vector: which parameter vector each row has, (R,); sorted order is fastest.
+            window: which window each row replays, (R,).
+
+        Returns:
+            Predicted measurements (qpos, qvel) at the end of control steps 1 to H, (R, H, nq+nv). From the step on
+            in which a simulation diverged, its row is NaN.
+        """
+
+    def predict(self, xi: Array, windows: Windows) -> Array:
+        """Predicted states of all pairs: parameter vectors (M, D), N windows, to (M, N, H, nq+nv).
+
+        Raises:
+            BadParameter: parameter vectors of the wrong shape or outside their bounds.
+            BadInput: windows of another robot, or without enough history.
+        """
+        xi = self._check(xi, windows)
+        m, n = len(xi), len(windows)
+        out = np.empty((m * n, windows.horizon, self.states.nx))
+        for rows, vectors in _chunks(m, n):
+            vector, window = np.divmod(np.arange(rows.start, rows.stop), n)
+            out[rows] = self.rollout(xi[vectors], windows, vector - vectors.start, window)
+        return out.reshape(m, n, windows.horizon, self.states.nx)
+
+    def losses(self, xi: Array, windows: Windows, scale: Array) -> Array:
+        """Squared prediction errors of all pairs, without keeping the states.
+
+        The loss of a pair is the sum over its H steps and all channels of (difference / scale)^2; with scale 1 and
+        H = 1 it is Eq. 9 of Takano et al., IROS 2024. A simulation that diverged costs `LOSS_LIMIT`, and nothing
+        costs more.
+
+        Args:
+            xi: parameter vectors, (M, D).
+            windows: N windows of H control steps.
+            scale: what counts as one unit of error in each channel, (ndiff,), positive.
+
+        Returns:
+            Losses, (M, N), finite.
+
+        Raises:
+            BadParameter: parameter vectors of the wrong shape or outside their bounds.
+            BadInput: windows of another robot or without enough history, or a scale that is not positive.
+        """
+        xi = self._check(xi, windows)
+        scale = np.asarray(scale, dtype=np.float64)
+        if scale.shape != (self.states.ndiff,) or not (scale > 0).all():
+            raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
+        m, n = len(xi), len(windows)
+        out = np.empty(m * n)
+        for rows, vectors in _chunks(m, n):
+            vector, window = np.divmod(np.arange(rows.start, rows.stop), n)
+            predicted = self.rollout(xi[vectors], windows, vector - vectors.start, window)
+            out[rows] = squared_error(self.states, predicted, windows.target[window], scale)
+        return out.reshape(m, n)
+
+    def history_steps(self, control_dt: float) -> int:
+        """Commands before a window's start that its simulation needs, at a control step of control_dt [s]."""
+        return int(np.ceil(self.memory_time / control_dt - 1e-9)) + 1 if self.memory_time > 0 else 0
+
+    def _check(self, xi: Array, windows: Windows) -> Array:
+        xi = self.space.check(xi)
+        if (windows.nq, windows.nv) != (self.states.nq, self.states.nv):
+            raise BadInput(
+                f"the windows have nq={windows.nq}, nv={windows.nv}, the simulator nq={self.states.nq}, "
+                f"nv={self.states.nv}"
+            )
+        needed = self.history_steps(windows.control_dt)
+        if windows.history.shape[1] < needed:
+            raise BadInput(
+                f"effects of this simulator look {self.memory_time:g} s back: cut the windows with history={needed}, "
+                f"they have {windows.history.shape[1]}"
+            )
+        return xi
+
+
+def squared_error(states: StateSpace, predicted: Array, measured: Array, scale: Array) -> Array:
+    """Sum over steps and channels of (difference / scale)^2, at most `LOSS_LIMIT`: (R, H, nx) twice to (R,)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = states.difference(predicted, measured) / scale
+        loss = np.einsum("rhc,rhc->r", error, error)
+    return np.where(loss < LOSS_LIMIT, loss, LOSS_LIMIT)
+
+
+def _chunks(m: int, n: int) -> list[tuple[slice, slice]]:
+    """Cut the m x n pairs, vector by vector, into runs of rows with the parameter vectors they touch."""
+    total = m * n
+    starts = range(0, total, CHUNK_ROWS)
+    ends = [min(s + CHUNK_ROWS, total) for s in starts]
+    return [(slice(s, e), slice(s // n, (e - 1) // n + 1)) for s, e in zip(starts, ends, strict=True)]
