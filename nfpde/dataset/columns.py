@@ -57,6 +57,25 @@ class ColumnNames:
         return [f"{group}_{name}" for name in (range(n) if names is None else names)]
 
 
+def expand_names(names: Sequence[str], widths: Sequence[int]) -> list[str]:
+    """Column names of elements that may take several columns each.
+
+    Args:
+        names: Element names, in the model's order.
+        widths: Columns of each (7 or 4 in qpos, 6 or 3 in qvel for free and ball joints; else 1).
+
+    Returns:
+        The name itself for a width of 1, else `name[0]`, `name[1]`, ...
+
+    Example:
+        >>> expand_names(["ball", "elbow"], [3, 1])
+        ['ball[0]', 'ball[1]', 'ball[2]', 'elbow']
+    """
+    return [
+        name if width == 1 else f"{name}[{i}]" for name, width in zip(names, widths, strict=True) for i in range(width)
+    ]
+
+
 def repeated(labels: Iterable[str]) -> list[str]:
     """The labels that occur more than once, in order of their second occurrence."""
     seen: set[str] = set()

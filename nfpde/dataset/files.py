@@ -1,18 +1,23 @@
-"""Load and save data sets, by the file's suffix."""
+"""Load and save data sets, in the format that the file's suffix names."""
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from nfpde.dataset.csv_file import metadata_path, read_csv, write_csv, write_metadata
 from nfpde.dataset.dataset import Dataset
+from nfpde.dataset.episode import Episode
+from nfpde.dataset.folder import read_folder
 from nfpde.dataset.naming import naming
 from nfpde.dataset.npz import read_npz, write_npz
+from nfpde.dataset.parquet_file import read_parquet, write_parquet
 from nfpde.dataset.recording import Recording
-from nfpde.dataset.resample import resample_episode, split_episode_at_gaps
+from nfpde.dataset.resample import bridged_step, resample_episode, split_episode_at_gaps
 from nfpde.errors import BadDataset
 
-_READERS: dict[str, Callable[[Path], Recording]] = {".npz": read_npz}
-_WRITERS: dict[str, Callable[[Dataset, Path], None]] = {".npz": write_npz}
+_READERS: dict[str, Callable[[Path], Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
+_WRITERS: dict[str, Callable[[Dataset, Path], None]] = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
 
 
 def load_dataset(
@@ -23,18 +28,42 @@ def load_dataset(
     max_gap: float | None = None,
     split_gaps: bool = False,
 ) -> Dataset:
-    """Load recordings from a file."""
+    """Load recordings from a file, or from every data file of a folder.
+
+    Every rule of the format is checked. Recordings of real robots often have uneven steps in time, which are
+    refused unless `resample` evens them out.
+
+    Args:
+        path: `.npz`, `.csv` or `.parquet`, or a folder of files of one of these formats.
+        resample: Control step to resample every episode to [s]; None takes the rows as they are. See
+            `resample_episode`.
+        quaternions: First qpos column of each unit quaternion, needed only for resampling.
+        max_gap: Longest step in time that is no gap [s]; None means 5 median steps where `resample` is given
+            (they are bridged), else 1.5.
+        split_gaps: Whether to cut an episode into pieces at its gaps, instead of refusing it. The pieces are
+            named NAME/0, NAME/1, ...
+
+    Returns:
+        The data set.
+
+    Raises:
+        BadDataset: The file cannot be read or breaks a rule; the text names file, episode, row, column, the
+            rule and what to do.
+        BadInput: An argument does not make sense.
+    """
     path = Path(path)
     with naming(path):
-        recording = _READERS[_known_suffix(path)](path)
+        recording = _read(path)
         episodes = list(recording.episodes)
         if split_gaps:
-            episodes = [piece for e in episodes for piece in split_episode_at_gaps(e, max_gap)]
+            episodes = [piece for e in episodes for piece in split_episode_at_gaps(e, _gap(e, max_gap, resample))]
+        metadata = recording.metadata
         if resample is not None:
             episodes = [resample_episode(e, resample, quaternions=quaternions, max_gap=max_gap) for e in episodes]
+            metadata = replace(metadata, control_dt=resample)
         return Dataset(
             episodes,
-            metadata=recording.metadata,
+            metadata=metadata,
             column_names=recording.column_names,
             extra_columns=recording.extra_columns,
             source=str(path),
@@ -42,13 +71,43 @@ def load_dataset(
 
 
 def save_dataset(dataset: Dataset, path: str | Path) -> None:
-    """Save a data set, in the format that the suffix names."""
+    """Save a data set; loading it again gives the same numbers bit by bit, and the same metadata.
+
+    The file appears whole or not at all. A `.csv` is joined by NAME.meta.json, which holds the metadata.
+
+    Args:
+        dataset: The data set.
+        path: File to write or replace: `.npz`, `.csv` or `.parquet`.
+
+    Raises:
+        BadDataset: The suffix is unknown, or the folder does not exist.
+    """
     path = Path(path)
     with naming(path):
         write = _WRITERS[_known_suffix(path)]
+        if not path.parent.is_dir():
+            raise BadDataset("the folder to save in does not exist; create it first.")
     temporary = path.with_name(f".{path.name}.part")
-    write(dataset, temporary)
-    os.replace(temporary, path)
+    try:
+        write(dataset, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    if path.suffix.lower() == ".csv":
+        write_metadata(dataset, metadata_path(path))
+
+
+def _read(path: Path) -> Recording:
+    if path.is_dir():
+        return read_folder(path, _READERS)
+    read = _READERS[_known_suffix(path)]
+    if not path.exists():
+        raise BadDataset("the file does not exist.")
+    return read(path)
+
+
+def _gap(episode: Episode, max_gap: float | None, resample: float | None) -> float | None:
+    return bridged_step(episode) if max_gap is None and resample is not None else max_gap
 
 
 def _known_suffix(path: Path) -> str:

@@ -62,8 +62,6 @@ def write_npz(dataset: Dataset, path: Path) -> None:
         path: File to write.
     """
     arrays: dict[str, Any] = rows_of_episodes(dataset.episodes)
-    if all(name.isascii() and name.isdecimal() and str(int(name)) == name and len(name) < 16 for name in dataset.names):
-        arrays["episode"] = arrays["episode"].astype(np.int64)
     for group in GROUPS:
         if getattr(dataset.column_names, group) is not None:
             arrays[f"{group}_names"] = np.array(getattr(dataset.column_names, group), dtype=str)

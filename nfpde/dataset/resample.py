@@ -66,6 +66,11 @@ def resample_episode(
     )
 
 
+def bridged_step(episode: Episode) -> float:
+    """Longest step [s] that resampling bridges when nothing else is said: `BRIDGE` median steps."""
+    return BRIDGE * float(np.median(np.diff(episode.time)))
+
+
 def split_episode_at_gaps(episode: Episode, max_gap: float | None = None) -> list[Episode]:
     """The recording in pieces, cut wherever time is missing.
 
@@ -140,7 +145,7 @@ def _check_quaternions(episode: Episode, quaternions: Sequence[int]) -> None:
 
 def _check_gaps(episode: Episode, max_gap: float | None) -> None:
     if max_gap is None:
-        max_gap = BRIDGE * float(np.median(np.diff(episode.time)))
+        max_gap = bridged_step(episode)
     check_seconds(max_gap, "max_gap")
     gaps = gap_rows(episode, max_gap)
     if len(gaps):

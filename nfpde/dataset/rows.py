@@ -69,11 +69,14 @@ def rows_of_episodes(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
         episodes: The recordings.
 
     Returns:
-        Arrays `episode` (R,) text, `time` (R,), `qpos` (R, nq), `qvel` (R, nv), `ctrl` (R, nu), and `robot`
-        (R,) text where at least one episode has a robot.
+        Arrays `episode` (R,) (int64 where every name is a plain number, else text),
+        `time` (R,), `qpos` (R, nq), `qvel` (R, nv), `ctrl` (R, nu),
+        and `robot` (R,) text where at least one episode has a robot.
     """
     lengths = [len(e) for e in episodes]
-    rows: dict[str, NDArray[Any]] = {"episode": np.repeat(np.array([e.name for e in episodes]), lengths)}
+    plain = all(_is_number(e.name) for e in episodes)
+    labels = np.array([e.name for e in episodes])
+    rows: dict[str, NDArray[Any]] = {"episode": np.repeat(labels.astype(np.int64) if plain else labels, lengths)}
     if any(e.robot is not None for e in episodes):
         rows["robot"] = np.repeat(np.array([e.robot or "" for e in episodes]), lengths)
     for field in ("time", "qpos", "qvel", "ctrl"):
@@ -110,6 +113,11 @@ def label_texts(labels: Any, what: str) -> NDArray[np.str_]:
             )
         array = array.astype(np.int64)
     return array.astype(str)
+
+
+def _is_number(name: str) -> bool:
+    """Whether a name is what a whole number of at most 15 digits (below 2**53) would become."""
+    return len(name) < 16 and name.isascii() and name.isdecimal() and str(int(name)) == name
 
 
 def _check_contiguous(labels: NDArray[np.str_], starts: NDArray[np.int64]) -> None:
