@@ -72,7 +72,7 @@ def load_dropo(
             episodes.append(
                 Episode(
                     name=str(i),
-                    time=np.arange(len(state), dtype=np.float64) * control_dt,
+                    time=control_dt * np.arange(len(state)),
                     qpos=state[:, : len(qpos)],
                     qvel=state[:, len(qpos) :],
                     ctrl=np.vstack([action, action[-1]]),

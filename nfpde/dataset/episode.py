@@ -1,9 +1,10 @@
 """One recording: time, measured state and command, row by row."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset.arrays import frozen_floats
 from nfpde.errors import BadDataset
@@ -37,6 +38,18 @@ class Episode:
     qvel: NDArray[np.float64]
     ctrl: NDArray[np.float64]
     robot: str | None = None
+
+    if TYPE_CHECKING:  # what the generated constructor takes: anything that makes an array
+
+        def __init__(
+            self,
+            name: str,
+            time: ArrayLike,
+            qpos: ArrayLike,
+            qvel: ArrayLike,
+            ctrl: ArrayLike,
+            robot: str | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         check_label(self.name, "an episode's name")

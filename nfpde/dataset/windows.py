@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset.arrays import frozen_floats
 from nfpde.dataset.episode import Episode
@@ -38,6 +38,21 @@ class Windows:
     episode: NDArray[np.int64]
     row: NDArray[np.int64]
     skipped_episodes: tuple[int, ...] = ()
+
+    if TYPE_CHECKING:  # what the generated constructor takes: anything that makes an array
+
+        def __init__(
+            self,
+            state: ArrayLike,
+            ctrl: ArrayLike,
+            history: ArrayLike,
+            control_dt: float,
+            nq: int,
+            nv: int,
+            episode: ArrayLike,
+            row: ArrayLike,
+            skipped_episodes: tuple[int, ...] = (),
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for field in ("state", "ctrl", "history"):
