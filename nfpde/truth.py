@@ -1,0 +1,160 @@
+"""`Truth`: the parameters that robots really had, known only where the recordings were simulated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.errors import BadInput, NfpdeError
+from nfpde.parameters import ParameterSpace
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """A mixture of Gaussians cut to the box of a space: what the robots' parameters were drawn from.
+
+    Args:
+        weights: (K,), non-negative, with sum 1.
+        means: (K, D), in physical units.
+        covariances: (K, D, D), symmetric and positive semidefinite, in products of physical units.
+
+    Raises:
+        BadInput: One of these rules is broken.
+    """
+
+    weights: NDArray[np.float64]
+    means: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name in ("weights", "means", "covariances"):
+            object.__setattr__(self, name, _array(f"population.{name}", getattr(self, name)))
+        k, d = self.means.shape if self.means.ndim == 2 else (0, 0)
+        if not k or self.weights.shape != (k,) or self.covariances.shape != (k, d, d):
+            raise BadInput(
+                "a population needs weights (K,), means (K, D) and covariances (K, D, D), got "
+                f"{self.weights.shape}, {self.means.shape} and {self.covariances.shape}"
+            )
+        if (self.weights < 0).any() or abs(self.weights.sum() - 1) > 1e-9:
+            raise BadInput(f"population.weights must be non-negative with sum 1, got {self.weights.tolist()}")
+        for i, c in enumerate(self.covariances):
+            size = np.abs(c).max()
+            if np.abs(c - c.T).max() > 1e-9 * size or np.linalg.eigvalsh(c)[0] < -1e-9 * size:
+                raise BadInput(f"population.covariances[{i}] is not symmetric and positive semidefinite")
+
+    def sample(self, n: int, space: ParameterSpace, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw n vectors (n, D) from the mixture, throwing away what falls outside the box.
+
+        Raises:
+            BadInput: Less than about one draw in a thousand falls inside the box.
+        """
+        values, vectors = np.linalg.eigh(self.covariances)
+        factors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        kept, have, drawn = [], 0, 0
+        while have < n:
+            if drawn > 1000 * (have + 10):
+                raise BadInput(f"only {have} of {drawn} draws of the population fall inside the box of {space}")
+            count = max(n - have, 100)
+            k = rng.choice(len(self.weights), size=count, p=self.weights)
+            noise = rng.standard_normal((count, len(space)))
+            xi = self.means[k] + np.einsum("nij,nj->ni", factors[k], noise)
+            xi = xi[((xi >= space.low) & (xi <= space.high)).all(1)]
+            kept.append(xi)
+            have, drawn = have + len(xi), drawn + count
+        return np.concatenate(kept)[:n] if kept else np.empty((0, len(space)))
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """True parameters of the recorded episodes.
+
+    Args:
+        space: The parameters.
+        xi: (E, D), in physical units, inside the box.
+        episodes: E names of episodes, as in the data set.
+        population: What `xi` was drawn from; None where that is not known.
+
+    Raises:
+        BadInput: Shapes or names that do not fit, or a value outside the box.
+    """
+
+    space: ParameterSpace
+    xi: NDArray[np.float64]
+    episodes: Sequence[str]
+    population: Population | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            xi = _array("xi", self.space.check(self.xi))
+        except NfpdeError as error:
+            raise BadInput(f"true parameters: {error}") from None
+        object.__setattr__(self, "xi", xi)
+        object.__setattr__(self, "episodes", tuple(self.episodes))
+        if len(self.episodes) != len(xi) or not len(xi):
+            raise BadInput(
+                f"there are {len(xi)} true parameter vectors and {len(self.episodes)} episode names; give one of each "
+                "for every episode"
+            )
+        if len(set(self.episodes)) != len(self.episodes) or not all(isinstance(e, str) for e in self.episodes):
+            raise BadInput(f"episode names must be unique texts, got {list(self.episodes)}")
+        if self.population is not None and self.population.means.shape[1] != len(self.space):
+            raise BadInput(
+                f"the population has {self.population.means.shape[1]} parameters, the space {len(self.space)}"
+            )
+
+    def save(self, path: Path | str) -> None:
+        """Write everything as one JSON file."""
+        content: dict[str, Any] = {
+            "schema_version": SCHEMA_VERSION,
+            "space": self.space.to_json(),
+            "episodes": list(self.episodes),
+            "xi": self.xi.tolist(),
+        }
+        if self.population is not None:
+            names = ("weights", "means", "covariances")
+            content["population"] = {name: getattr(self.population, name).tolist() for name in names}
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path | str) -> Truth:
+        """Read what `save` wrote, the same to the last bit.
+
+        Raises:
+            BadInput: The file is missing, not JSON, of another schema, or breaks a rule of `Truth`.
+        """
+        path = Path(path)
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise BadInput(f"{path} cannot be read ({error.strerror})") from None
+        except ValueError as error:
+            raise BadInput(f"{path} is not JSON: {error}") from None
+        version = content.get("schema_version") if isinstance(content, dict) else None
+        if version != SCHEMA_VERSION:
+            raise BadInput(f"{path}: schema_version is {version!r}, this version of nfpde reads {SCHEMA_VERSION}")
+        try:
+            population = Population(**content["population"]) if content.get("population") is not None else None
+            space = ParameterSpace.from_json(content["space"])
+            return cls(space, content["xi"], content["episodes"], population)
+        except KeyError as error:
+            raise BadInput(f"{path}: the entry {error} is missing") from None
+        except (TypeError, ValueError, NfpdeError) as error:
+            raise BadInput(f"{path}: {error}") from None
+
+
+def _array(name: str, values: object) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise BadInput(f"{name} holds a number that is not finite")
+    array.flags.writeable = False
+    return array

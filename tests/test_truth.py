@@ -1,0 +1,113 @@
+"""True parameters of simulated recordings."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from nfpde.errors import BadInput
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.truth import Population, Truth
+
+SPACE = ParameterSpace([Parameter("mass", low=2.0, high=6.0, unit="kg"), Parameter("damping", low=0.0, high=1.0)])
+POPULATION = Population(
+    np.array([0.3, 0.7]),
+    np.array([[3.0, 0.2], [5.5, 0.6]]),
+    np.array([[[0.04, 0.01], [0.01, 0.01]], [[1.0, 0.0], [0.0, 0.04]]]),
+)
+XI = np.array([[3.0, 0.1], [4.0, 0.3 - 0.2 / 3]])
+
+
+def test_saved_and_loaded_is_the_same_to_the_bit(tmp_path):
+    """All numbers, names and the space come back, with and without a population."""
+    for population in (POPULATION, None):
+        truth = Truth(SPACE, XI, ["a", "b"], population)
+        truth.save(tmp_path / "deep" / "truth.json")
+        back = Truth.load(tmp_path / "deep" / "truth.json")
+        assert back.space == SPACE
+        assert back.episodes == ("a", "b")
+        np.testing.assert_array_equal(back.xi, XI)
+        if population is None:
+            assert back.population is None
+        else:
+            assert back.population is not None
+            for name in ("weights", "means", "covariances"):
+                np.testing.assert_array_equal(getattr(back.population, name), getattr(population, name))
+
+
+def test_population_draws_follow_the_truncated_mixture():
+    """Draws stay in the box, repeat under a seed, and have the marginal of the mixture cut to the box."""
+    xi = POPULATION.sample(5000, SPACE, np.random.default_rng(0))
+    np.testing.assert_array_equal(xi, POPULATION.sample(5000, SPACE, np.random.default_rng(0)))
+    assert xi.shape == (5000, 2)
+    assert SPACE.check(xi) is not None
+    line = np.linspace(0.0, 1.0, 400)
+    masses = np.linspace(2.0, 6.0, 400)
+    points = np.stack(np.meshgrid(masses, line, indexing="ij"), -1)
+    parts = zip(POPULATION.weights, POPULATION.means, POPULATION.covariances, strict=True)
+    density = np.sum([w * scipy.stats.multivariate_normal(m, c).pdf(points) for w, m, c in parts], axis=0)
+    for axis, grid in ((1, masses), (0, line)):
+        cdf = np.cumsum(density.sum(axis))
+        column = xi[:, 0 if axis == 1 else 1]
+        # 1.63 / sqrt(n) is the 99 % level of the Kolmogorov-Smirnov distance; 0.004 for the grid
+        assert scipy.stats.kstest(column, lambda v, g=grid, c=cdf: np.interp(v, g, c / c[-1])).statistic < 0.0275
+
+
+def test_population_of_points_gives_its_points():
+    """Covariances of zero are allowed: every draw is one of the means."""
+    points = Population(np.array([0.5, 0.5]), XI, np.zeros((2, 2, 2)))
+    xi = points.sample(50, SPACE, np.random.default_rng(0))
+    assert {tuple(row) for row in xi} == {tuple(row) for row in XI}
+    assert points.sample(0, SPACE, np.random.default_rng(0)).shape == (0, 2)
+
+
+def test_population_outside_the_box_is_refused():
+    """Rejection that would never end stops with the count."""
+    outside = Population(np.ones(1), np.array([[20.0, 0.5]]), 0.01 * np.eye(2)[None])
+    with pytest.raises(BadInput, match=r"only 0 of .* draws of the population fall inside the box"):
+        outside.sample(5, SPACE, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (([1.0], [1.0, 2.0], np.eye(2)[None]), r"weights \(K,\), means \(K, D\) and covariances"),
+        (([0.5], [[1.0, 2.0]], np.eye(2)[None]), "non-negative with sum 1"),
+        (([1.0], [[1.0, np.nan]], np.eye(2)[None]), "population.means holds a number that is not finite"),
+        (([1.0], [[1.0, 2.0]], [[[1.0, 2.0], [2.0, 1.0]]]), r"covariances\[0\] is not symmetric and positive"),
+        (([1.0], [[1.0, 2.0]], [[[1.0, 0.5], [0.0, 1.0]]]), r"covariances\[0\] is not symmetric and positive"),
+    ],
+)
+def test_population_refuses(arguments, text):
+    """What is no mixture is refused."""
+    with pytest.raises(BadInput, match=text):
+        Population(*arguments)
+
+
+def test_truth_refuses(tmp_path):
+    """Values outside the box, names that do not fit and broken files are named."""
+    with pytest.raises(BadInput, match=r"true parameters: row 1: mass = 7 lies outside \[2, 6\]"):
+        Truth(SPACE, np.array([[3.0, 0.1], [7.0, 0.1]]), ["a", "b"])
+    with pytest.raises(BadInput, match="2 true parameter vectors and 1 episode names"):
+        Truth(SPACE, XI, ["a"])
+    with pytest.raises(BadInput, match="names must be unique"):
+        Truth(SPACE, XI, ["a", "a"])
+    three = Population(np.ones(1), np.zeros((1, 3)), np.eye(3)[None])
+    with pytest.raises(BadInput, match="the population has 3 parameters, the space 2"):
+        Truth(SPACE, XI, ["a", "b"], three)
+    path = tmp_path / "truth.json"
+    with pytest.raises(BadInput, match=r"truth\.json cannot be read"):
+        Truth.load(path)
+    Truth(SPACE, XI, ["a", "b"]).save(path)
+    good = json.loads(path.read_text())
+    for content, text in [
+        ("{", "is not JSON"),
+        (json.dumps({**good, "schema_version": 9}), "schema_version is 9"),
+        (json.dumps({k: v for k, v in good.items() if k != "xi"}), "the entry 'xi' is missing"),
+        (json.dumps({**good, "xi": [[1.0], [1.0, 2.0]]}), r"truth\.json: "),
+        (json.dumps({**good, "population": {"weights": [1.0]}}), r"truth\.json: .*means"),
+    ]:
+        path.write_text(content)
+        with pytest.raises(BadInput, match=text):
+            Truth.load(path)
