@@ -84,7 +84,7 @@ def test_quaternion_slerp_agrees_with_rotation_vectors():
 
 
 def test_sign_flips_in_the_recording_do_not_matter():
-    """A quaternion and its negative are one rotation: a recording that jumps between them resamples to the same rotations."""
+    """A quaternion and its negative are one rotation: one that jumps between them resamples the same."""
     angle = np.linspace(0, 1, 11)
     q = np.stack([np.cos(angle), np.sin(angle), 0 * angle, 0 * angle], axis=1)
     flips = np.where(np.arange(11) % 3 == 0, -1.0, 1.0)[:, None]

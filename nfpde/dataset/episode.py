@@ -130,8 +130,9 @@ class Episode:
             return
         row = int(np.argmax(~(steps > 0))) + 1
         raise BadDataset(
-            f"episode {self.name!r}, row {row}, column time: {self.time[row]!r} s follows {self.time[row - 1]!r} "
-            "s; time must increase from row to row. Remove the repeated row, or begin a new episode there."
+            f"episode {self.name!r}, row {row}, column time: {float(self.time[row])!r} s follows "
+            f"{float(self.time[row - 1])!r} s; time must increase from row to row. Remove the repeated row, or "
+            "begin a new episode there."
         )
 
 
