@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from nfpde.dataset import Dataset, Episode, load_dataset, save_dataset
+from nfpde.dataset import Dataset, Episode, Metadata, load_dataset, save_dataset
 from nfpde.errors import BadDataset
 
 
@@ -234,6 +234,39 @@ def test_unreadable_files(suffix, content, tmp_path):
     path = tmp_path / f"log{suffix}"
     path.write_bytes(content)
     with pytest.raises(BadDataset, match=rf"log\{suffix}: the file cannot be read as (\.npz|Parquet) "):
+        load_dataset(path)
+
+
+@pytest.mark.filterwarnings("ignore")  # the zip reader warns of some damage before it raises
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".parquet"])
+def test_damaged_files(suffix, tmp_path):
+    """Whichever bytes are damaged, a file loads or is refused as a BadDataset; no other error ever escapes."""
+    rng = np.random.default_rng(0)
+    path, rows = tmp_path / f"log{suffix}", np.arange(12.0)
+    numbers = rng.normal(size=(3, 12, 2))
+    save_dataset(Dataset([Episode("a", rows, *numbers, robot="r")], metadata=Metadata(notes="n")), path)
+    whole, refused = np.frombuffer(path.read_bytes(), np.uint8), []
+    for _ in range(300):
+        damaged = whole.copy()
+        damaged[rng.integers(len(whole), size=2)] = rng.integers(256, size=2)
+        path.write_bytes(damaged.tobytes())
+        try:
+            load_dataset(path)
+        except BadDataset as error:
+            refused.append(str(error))
+    assert len(refused) > 30
+    assert all(text.startswith(f"{path}: ") for text in refused)
+
+
+def test_changed_numbers_in_parquet_are_noticed(tmp_path):
+    """A number that changed on the disk fails the page's checksum."""
+    path = tmp_path / "log.parquet"
+    numbers = np.random.default_rng(0).normal(size=(12, 1))
+    save_dataset(Dataset([Episode("a", np.arange(12), numbers, numbers + 1, numbers + 2)]), path)
+    content = path.read_bytes()
+    place = content.index(numbers[5].tobytes())
+    path.write_bytes(content[:place] + b"\0" + content[place + 1 :])
+    with pytest.raises(BadDataset, match=r"cannot be read as Parquet .*CRC"):
         load_dataset(path)
 
 

@@ -1,6 +1,7 @@
 """The .npz format: one array a field, every episode below the other."""
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,17 @@ from nfpde.dataset.rows import episodes_of_rows, label_texts, rows_of_episodes
 from nfpde.errors import BadDataset
 
 _REQUIRED = ("episode", "time", "qpos", "qvel", "ctrl")
+_DAMAGED = (  # what zipfile, zlib and NumPy raise on bytes that are no archive of theirs
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    SyntaxError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 _NAMES = tuple(f"{group}_names" for group in GROUPS)
 
 
@@ -86,7 +98,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
                         "which could run code: save it as numbers or text."
                     ) from None
             return arrays
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise BadDataset(f"the file cannot be read as .npz ({error}); write it with numpy.savez.") from None
 
 

@@ -27,14 +27,14 @@ def read_parquet(path: Path) -> Recording:
         BadDataset: The file cannot be read, or a column breaks a rule.
     """
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             layout = read_header(file.schema_arrow.names)
             table = file.read(columns=[*layout.texts, *layout.numbers])
             facts = (file.schema_arrow.metadata or {}).get(_KEY)
-    except (pa.ArrowException, OSError) as error:
+        metadata = Metadata() if facts is None else Metadata.from_json(facts.decode())
+        return recording_of_table(table, layout, metadata)
+    except (pa.ArrowException, OSError, UnicodeDecodeError, MemoryError) as error:
         raise BadDataset(f"the file cannot be read as Parquet ({str(error).splitlines()[0]}).") from None
-    metadata = Metadata() if facts is None else Metadata.from_json(facts.decode(errors="replace"))
-    return recording_of_table(table, layout, metadata)
 
 
 def write_parquet(dataset: Dataset, path: Path) -> None:
@@ -45,4 +45,4 @@ def write_parquet(dataset: Dataset, path: Path) -> None:
         path: File to write.
     """
     table = table_of_dataset(dataset).replace_schema_metadata({_KEY: dataset.metadata.to_json().encode()})
-    pq.write_table(table, path)
+    pq.write_table(table, path, write_page_checksum=True)
