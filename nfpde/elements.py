@@ -14,7 +14,7 @@ KINDS = {
     "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
     "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
     "tendon": (mujoco.mjtObj.mjOBJ_TENDON, "ntendon"),
-    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
     "equality": (mujoco.mjtObj.mjOBJ_EQUALITY, "neq"),
 }
 """Element kinds: MuJoCo's object type and the mjModel size that counts them."""
@@ -85,6 +85,12 @@ def joint_dofs(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.in
 def joint_qpos(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
     """Coordinates (indices into qpos) of the given joints."""
     return _spread(model, joints, model.jnt_qposadr, {0: 7, 1: 4, 2: 1, 3: 1})
+
+
+def actuator_ctrls(model: mujoco.MjModel, actuators: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Commands (indices into ctrl) of the given actuators; most have one, a `pid` or `dcmotor` may have several."""
+    parts = [int(model.actuator_ctrladr[i]) + np.arange(int(model.actuator_ctrlnum[i])) for i in actuators]
+    return np.concatenate(parts).astype(np.intp)
 
 
 def _spread(

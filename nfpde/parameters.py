@@ -6,6 +6,7 @@ shape, live in R^D. The map is the sigmoid box of Takano et al., IROS 2024, Eq. 
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -106,9 +107,7 @@ class Parameter:
                 "it in the model and leave the parameter out"
             )
         if isinstance(self.component, bool) or not isinstance(self.component, int) or self.component < 0:
-            raise BadParameter(
-                f"parameter {self.name!r}: component must be an integer >= 0, got {self.component!r}"
-            )
+            raise BadParameter(f"parameter {self.name!r}: component must be an integer >= 0, got {self.component!r}")
 
 
 class ParameterSpace:
@@ -130,9 +129,7 @@ class ParameterSpace:
         self.parameters = tuple(parameters)
         for p in self.parameters:
             if not isinstance(p, Parameter):
-                raise BadParameter(
-                    f"a ParameterSpace is made of Parameter objects, got {type(p).__name__}: {p!r}"
-                )
+                raise BadParameter(f"a ParameterSpace is made of Parameter objects, got {type(p).__name__}: {p!r}")
         if not self.parameters:
             raise BadParameter("a ParameterSpace needs at least one Parameter; there is nothing to estimate")
         self.names = [p.name for p in self.parameters]
@@ -246,7 +243,7 @@ class ParameterSpace:
         """
         path = Path(path)
         try:
-            content = tomllib.loads(path.read_text())
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise BadParameter(f"{path}: cannot be read ({error.strerror})") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -270,7 +267,7 @@ class ParameterSpace:
                 if key in ("field", "low", "high") or value != getattr(automatic, key):
                     lines.append(f"{key} = {_toml(value)}")
             lines.append("")
-        Path(path).write_text("\n".join(lines))
+        Path(path).write_text("\n".join(lines), encoding="utf-8")
 
 
 def _from_table(table: object, where: str) -> Parameter:
@@ -293,7 +290,7 @@ def _toml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Sequence):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
     return repr(value)

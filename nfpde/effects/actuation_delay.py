@@ -32,12 +32,13 @@ class ActuationDelay(Effect):
         steps = ctrl.shape[1]
         late = values[:, 0] / timestep
         whole = np.floor(late + 1e-9)
-        share = np.clip(late - whole, 0.0, 1.0)[:, None, None]
+        share = (late - whole)[:, None, None]
+        share[share < 1e-9] = 0.0  # a whole number of steps but for rounding: a plain shift
         index = np.arange(steps)[None, :] - whole[:, None].astype(int)
         rows = np.arange(len(ctrl))[:, None]
-        chosen = ctrl[:, :, self.ids]
+        chosen = ctrl[:, :, self.ctrls]
         newer = chosen[rows, np.clip(index, 0, None)]
         older = chosen[rows, np.clip(index - 1, 0, None)]
         out = ctrl.copy()
-        out[:, :, self.ids] = (1 - share) * newer + share * older
+        out[:, :, self.ctrls] = (1 - share) * newer + share * older
         return out

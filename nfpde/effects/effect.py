@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.elements import element_ids, joint_dofs, joint_qpos
+from nfpde.elements import actuator_ctrls, element_ids, joint_dofs, joint_qpos
 from nfpde.errors import BadEffect
 from nfpde.parameters import Parameter, Target
 
@@ -95,13 +95,14 @@ class Effect:
     ids: Rows
     dofs: Rows
     qposadr: Rows
+    ctrls: Rows
 
     def __init__(self, target: Target = None, **bounds: Sequence[float]) -> None:
         if self.kind is None and target is not None:
             raise BadEffect(f"{self.name} acts on the whole robot and takes no target, got {target!r}")
         if self.kind is not None and target is None:
             raise BadEffect(f"{self.name} needs a target: the {self.kind} it acts on")
-        self.target = target
+        self.target = tuple(target) if isinstance(target, list) else target
         known = [q.name for q in self.quantities]
         unknown = sorted(set(bounds) - set(known))
         if unknown:
@@ -111,20 +112,21 @@ class Effect:
     def _parameter(self, q: Quantity, bounds: Sequence[float] | None) -> Parameter:
         if bounds is None:
             bounds = self.default_bounds.get(q.name)
-        if bounds is None or len(bounds) != 2:
+        if not isinstance(bounds, Sequence | np.ndarray) or isinstance(bounds, str) or len(bounds) != 2:
             raise BadEffect(
                 f"{self.name}: give bounds for {q.name}, as {q.name}=(low, high) in {q.unit}"
                 + ("" if bounds is None else f"; got {bounds!r}")
             )
         low, high = bounds
+        parameter = Parameter(f"{self.name}.{q.name}", self.target, low, high, unit=q.unit)
         if not (q.low <= low and high <= q.high):
             raise BadEffect(
                 f"{self.name}: {q.name} must stay within [{q.low:g}, {q.high:g}] {q.unit}, got ({low:g}, {high:g})"
             )
-        return Parameter(f"{self.name}.{q.name}", self.target, low, high, unit=q.unit)
+        return parameter
 
     def bind(self, model: mujoco.MjModel) -> Effect:
-        """A copy that knows the ids of its target: `ids`, and for a joint `dofs` and `qposadr`.
+        """A copy that knows its target's `ids`, and a joint's `dofs` and `qposadr`, or an actuator's `ctrls`.
 
         Raises:
             BadEffect: the model has no such element, or the effect cannot act on it.
@@ -135,10 +137,12 @@ class Effect:
         if self.kind == "joint":
             bound.dofs = joint_dofs(model, bound.ids)
             bound.qposadr = joint_qpos(model, bound.ids)
+        if self.kind == "actuator":
+            bound.ctrls = actuator_ctrls(model, bound.ids)
         return bound
 
     def active(self, values: Array) -> NDArray[np.bool_]:
-        """Which rows of values (R, P) differ from neutral, (R,)."""
+        """Which rows of values (R, P) differ from neutral, (R,); only there do `command` and `step` run."""
         decisive = [i for i, q in enumerate(self.quantities) if not q.shape_only]
         neutral = np.array([self.quantities[i].neutral for i in decisive])
         return (values[:, decisive] != neutral).any(1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import mujoco.batch
@@ -12,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.effects import Effect, World, effects_in
-from nfpde.effects.effect import overrides
-from nfpde.errors import BadEffect, BadInput, BadParameter
+from nfpde.effects import Effect, effects_in
+from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
-from nfpde.sim.model import load_model
+from nfpde.sim.acting import BoundEffects
+from nfpde.sim.model import load_model, model_hash
 from nfpde.sim.probe import refuse_inert
-from nfpde.sim.simulator import CHUNK_ROWS, Array, Simulator
+from nfpde.sim.quiet import quiet_mujoco
+from nfpde.sim.simulator import Array, Simulator, rows_at_once
 from nfpde.sim.states import StateSpace
 from nfpde.sim.writer import ModelWriter, get_field
 
@@ -56,13 +58,9 @@ class MujocoSimulator(Simulator):
         self.space = ParameterSpace([*(base or ()), *(p for e in self.effects for p in e.parameters)])
         self.states = StateSpace.of_model(self.model)
         self.writer = ModelWriter(self.model, base, self.effects)
-        self.memory_time = max((e.memory_time() for e in self.effects), default=0.0)
         self.nthread = nthread or len(os.sched_getaffinity(0))
-        self._columns = dict(zip(map(id, self.effects), _column_slices(len(base or ()), self.effects), strict=True))
-        self._on_command = [e for e in self.effects if overrides(e, "command")]
-        self._on_step = [e for e in self.effects if overrides(e, "step")]
-        self._on_sensor = [e for e in self.effects if overrides(e, "to_measured") or overrides(e, "to_simulated")]
-        self._step_fields = sorted({f for e in self._on_step for f in e.step_fields})
+        self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
+        self.memory_time = self._bound.memory_time
         self._batch: mujoco.batch.Batch | None = None
         if check_influence:
             refuse_inert(self, self.model)
@@ -78,11 +76,17 @@ class MujocoSimulator(Simulator):
             raise BadInput(f"the windows have nu={windows.ctrl.shape[2]} commands, the model nu={self.model.nu}")
         fields = self.writer.rows(xi)
         out = np.empty((len(vector), windows.horizon, self.states.nx))
-        for start in range(0, len(vector), CHUNK_ROWS):
-            part = slice(start, start + CHUNK_ROWS)
-            out[part] = self._simulate(xi, fields, windows, vector[part], window[part], nsub)
+        size = rows_at_once(windows.horizon * (self.states.nx + self.model.nu * nsub))
+        with quiet_mujoco(), np.errstate(over="ignore", invalid="ignore"):
+            for start in range(0, len(vector), size):
+                part = slice(start, start + size)
+                out[part] = self._simulate(xi[vector[part]], fields, vector[part], windows, window[part], nsub)
         self.simulated_steps += len(vector) * windows.horizon * nsub
         return out
+
+    def identity(self) -> dict[str, Any]:
+        """The model's fingerprint and MuJoCo's version; the effects are in the space."""
+        return {**super().identity(), "model": model_hash(self.model), "mujoco": mujoco.__version__}
 
     def substeps(self, control_dt: float) -> int:
         """Physics steps in a control step of control_dt [s].
@@ -103,112 +107,57 @@ class MujocoSimulator(Simulator):
         self,
         xi: Array,
         fields: dict[str, Array],
-        windows: Windows,
         vector: NDArray[np.intp],
+        windows: Windows,
         window: NDArray[np.intp],
         nsub: int,
     ) -> Array:
-        n, horizon = len(vector), windows.horizon
+        """Simulate rows side by side: xi (R, D), the model fields of all vectors, and which vector each row has."""
+        n, horizon, nq = len(xi), windows.horizon, self.states.nq
         batch = self._prepared_batch(n)
-        ids = np.arange(n)
-        for name, values in fields.items():
-            batch.expand(name)[:n] = values[vector]
-        values = {id(e): xi[vector, self._columns[id(e)]] for e in self.effects}
-        start = windows.state[window, 0]
-        for e in self._on_sensor:
-            start = e.to_simulated(start, values[id(e)])
-        qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        qpos[:n], qvel[:n] = start[:, : self.states.nq], start[:, self.states.nq :]
-        signal = self._commands(windows, window, values, nsub)
-        world, acting = self._world(batch, fields, vector, values, n)
-        fine = signal is not None or bool(acting)
-        out = np.empty((n, horizon, self.states.nx))
-        broken = np.zeros((n, horizon), bool)
+        for name in {*fields, *self._bound.step_fields}:
+            batch.expand(name)[:n] = fields[name][vector] if name in fields else get_field(self.model, name)
+        effects = self._bound.on_rows(xi)
+        start = effects.to_simulated(windows.state[window, 0])
+        qpos, qvel, ctrl = (batch.bind(name)[:n] for name in ("qpos", "qvel", "ctrl"))
+        qpos[:], qvel[:] = start[:, :nq], start[:, nq:]
+        signal = effects.commands(windows, window, self.history_steps(windows.control_dt), nsub)
+        before_step = effects.before_steps(batch, n)
+        single = nsub if signal is None and before_step is None else 1
+        out = np.full((n, horizon, self.states.nx), np.nan)
+        alive = np.arange(n)
         for h in range(horizon):
-            ctrl[:n] = windows.ctrl[window, h]
-            for k in range(nsub if fine else 1):
+            ctrl[:] = windows.ctrl[window, h]
+            for k in range(0, nsub, single):
                 if signal is not None:
-                    ctrl[:n] = signal[:, h * nsub + k]
-                if world is not None:
-                    self._act(world, acting)
-                batch.step(ids, nstep=1 if fine else nsub)
-            out[:, h, : self.states.nq], out[:, h, self.states.nq :] = qpos[:n], qvel[:n]
-            broken[:, h] = (batch.warning[:n, :, 1] > 0)[:, _FATAL].any(1)
-        for e in reversed(self._on_sensor):
-            out = e.to_measured(out, values[id(e)][:, None, :])
-        broken |= ~np.isfinite(out).all(2)
-        out[np.logical_or.accumulate(broken, axis=1)] = np.nan
+                    ctrl[:] = signal[:, h * nsub + k]
+                if before_step is not None:
+                    before_step()
+                _step(batch, alive, single)
+            # MuJoCo resets a simulation that blew up and goes on; every warning that it counts makes its numbers wrong
+            alive = alive[~(batch.warning[alive, :, 1] > 0).any(1)]
+            out[alive, h, :nq], out[alive, h, nq:] = qpos[alive], qvel[alive]
+        out = effects.to_measured(out)
+        out[np.logical_or.accumulate(~np.isfinite(out).all(2), axis=1)] = np.nan
         return out
 
     def _prepared_batch(self, n: int) -> mujoco.batch.Batch:
         """The batch, with its first n simulations at rest at time 0 and without a warm start."""
         batch = self._batch
         if batch is None or batch.nsim < n:
-            size = min(CHUNK_ROWS, 1 << (n - 1).bit_length())
+            size = 1 << (n - 1).bit_length()
             self._batch = batch = mujoco.batch.Batch(self.model, size, self.nthread)
             self._rest = batch.state[0].copy()
-            for name in {*self.writer.fields, *self._step_fields}:
-                batch.expand(name)
         batch.state[:n] = self._rest
         batch.warning[:n] = 0
         return batch
 
-    def _commands(
-        self, windows: Windows, window: NDArray[np.intp], values: dict[int, Array], nsub: int
-    ) -> Array | None:
-        """Commands at every physics step of the window after the effects on them, (n, H nsub, nu), or None."""
-        acting = [(e, np.flatnonzero(e.active(values[id(e)]))) for e in self._on_command]
-        if not any(len(rows) for _, rows in acting):
-            return None
-        used = self.history_steps(windows.control_dt)
-        past = windows.history[:, windows.history.shape[1] - used :]
-        signal = np.concatenate([past[window], windows.ctrl[window]], axis=1).repeat(nsub, axis=1)
-        for e, rows in acting:
-            if len(rows):
-                signal[rows] = e.command(signal[rows], values[id(e)][rows], self.model.opt.timestep)
-        return signal[:, used * nsub :]
 
-    def _world(
-        self,
-        batch: mujoco.batch.Batch,
-        fields: dict[str, Array],
-        vector: NDArray[np.intp],
-        values: dict[int, Array],
-        n: int,
-    ) -> tuple[World | None, list[tuple[Effect, NDArray[np.intp], Array]]]:
-        """The view that effects act through, and which of them act on which rows."""
-        acting = []
-        for e in self._on_step:
-            rows = np.flatnonzero(e.active(values[id(e)]))
-            if len(rows):
-                acting.append((e, rows, values[id(e)][rows]))
-        for name in self._step_fields:
-            own = fields[name][vector] if name in fields else get_field(self.model, name)
-            batch.expand(name)[:n] = own
-        if not acting:
-            return None, []
-        live = {f: batch.expand(f)[:n] for f in self._step_fields}
-        world = World(
-            self.model,
-            *(batch.bind(f)[:n] for f in ("qpos", "qvel", "ctrl", "qfrc_applied")),
-            fields=live,
-        )
-        self._own_fields = {f: v.copy() for f, v in live.items()}
-        return world, acting
-
-    def _act(self, world: World, acting: list[tuple[Effect, NDArray[np.intp], Array]]) -> None:
-        for name, own in self._own_fields.items():
-            world.fields[name][...] = own
-        world.qfrc_applied[...] = 0.0
-        for e, rows, v in acting:
-            e.step(world, rows, v)
-
-
-_FATAL = [
-    int(w)
-    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
-"""MuJoCo resets a simulation that raises one of these and goes on with plausible numbers."""
+def _step(batch: mujoco.batch.Batch, ids: NDArray[np.intp], nstep: int) -> None:
+    try:
+        batch.step(ids, nstep=nstep)
+    except mujoco.batch.SimulationError as error:
+        raise BadModel(f"MuJoCo cannot simulate this model: {error}") from None
 
 
 def _split(space: ParameterSpace | None) -> tuple[ParameterSpace | None, list[Effect]]:
@@ -222,11 +171,3 @@ def _split(space: ParameterSpace | None) -> tuple[ParameterSpace | None, list[Ef
     if [*base, *of_effects] != list(space):
         raise BadEffect("parameters of effects must follow all others in a space, each effect's in its own order")
     return (ParameterSpace(base) if base else None), inside
-
-
-def _column_slices(first: int, effects: Sequence[Effect]) -> list[slice]:
-    slices = []
-    for e in effects:
-        slices.append(slice(first, first + len(e.parameters)))
-        first += len(e.parameters)
-    return slices

@@ -16,11 +16,11 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
     """Load an MJCF or URDF file, or copy a compiled model, ready for this package's simulators.
 
     The PGS solver is replaced by Newton: MuJoCo Warp has no PGS, and a model must give the same numbers wherever it
-    runs. Solver islands are switched off where nothing needs them: same numbers, a few per cent faster.
+    runs. Solver islands are switched off: a few per cent faster, and the same numbers where all joints form one tree.
 
     Raises:
-        BadModel: no such file, MuJoCo's own message where it cannot compile it, or actuators with states of their
-            own, which recordings of (qpos, qvel, ctrl) do not hold.
+        BadModel: no such file, MuJoCo's own message where it cannot compile it, or states that recordings of (qpos,
+            qvel, ctrl) do not hold: of actuators, delay buffers, plastic springs, sleeping bodies.
     """
     if isinstance(model, str | Path):
         where, path = str(model), Path(model)
@@ -37,12 +37,24 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
             f"{where}: it has {loaded.na} actuator states (dyntype other than none), which recordings of qpos, qvel "
             "and ctrl do not hold; set dyntype='none' and model the lag with the effect actuator_lag"
         )
+    if loaded.nhistory:
+        raise BadModel(
+            f"{where}: it has elements with a delay, whose buffers recordings do not hold; remove delay and nsample "
+            "from actuators and sensors, and model late commands with the effect actuation_delay"
+        )
+    if loaded.nplastic:
+        raise BadModel(
+            f"{where}: it has springs that yield, whose rest length recordings do not hold; remove springyield"
+        )
+    if loaded.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP:
+        raise BadModel(
+            f"{where}: bodies may sleep in it, and recordings do not say which do; set <flag sleep='disable'/>"
+        )
     if loaded.nq == 0:
         raise BadModel(f"{where}: nothing moves in it (no joint)")
     if loaded.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
         loaded.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    if not loaded.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP:
-        loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # compiled constants may differ from recomputed ones in the last bit; every parameter vector gets recomputed ones
     mujoco.mj_setConst(loaded, mujoco.MjData(loaded))
     return loaded

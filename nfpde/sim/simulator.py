@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,10 @@ LOSS_LIMIT = 1e12
 """Loss of a simulation that diverged, and the most any loss can be."""
 
 CHUNK_ROWS = 4096
-"""Simulations whose states are held at once: enough to keep every core busy, some tens of megabytes."""
+"""Simulations that run side by side, at most: enough to keep every core busy."""
+
+CHUNK_NUMBERS = 1 << 23
+"""Numbers of their states that are held at once, at most (64 MiB): long windows run in smaller groups."""
 
 
 class Simulator(ABC):
@@ -63,7 +67,7 @@ class Simulator(ABC):
         xi = self._check(xi, windows)
         m, n = len(xi), len(windows)
         out = np.empty((m * n, windows.horizon, self.states.nx))
-        for rows, vectors in _chunks(m, n):
+        for rows, vectors in _chunks(m, n, rows_at_once(windows.horizon * self.states.nx)):
             vector, window = np.divmod(np.arange(rows.start, rows.stop), n)
             out[rows] = self.rollout(xi[vectors], windows, vector - vectors.start, window)
         return out.reshape(m, n, windows.horizon, self.states.nx)
@@ -93,11 +97,15 @@ class Simulator(ABC):
             raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
         m, n = len(xi), len(windows)
         out = np.empty(m * n)
-        for rows, vectors in _chunks(m, n):
+        for rows, vectors in _chunks(m, n, rows_at_once(windows.horizon * self.states.nx)):
             vector, window = np.divmod(np.arange(rows.start, rows.stop), n)
             predicted = self.rollout(xi[vectors], windows, vector - vectors.start, window)
             out[rows] = squared_error(self.states, predicted, windows.target[window], scale)
         return out.reshape(m, n)
+
+    def identity(self) -> dict[str, Any]:
+        """What tells this simulator from another one, as JSON; a resumed run must find the same."""
+        return {"class": type(self).__name__}
 
     def history_steps(self, control_dt: float) -> int:
         """Commands before a window's start that its simulation needs, at a control step of control_dt [s]."""
@@ -127,9 +135,14 @@ def squared_error(states: StateSpace, predicted: Array, measured: Array, scale: 
     return np.where(loss < LOSS_LIMIT, loss, LOSS_LIMIT)
 
 
-def _chunks(m: int, n: int) -> list[tuple[slice, slice]]:
-    """Cut the m x n pairs, vector by vector, into runs of rows with the parameter vectors they touch."""
+def rows_at_once(numbers: int) -> int:
+    """How many simulations may run side by side when each keeps that many numbers."""
+    return max(1, min(CHUNK_ROWS, CHUNK_NUMBERS // numbers))
+
+
+def _chunks(m: int, n: int, size: int) -> list[tuple[slice, slice]]:
+    """Cut the m x n pairs, vector by vector, into runs of `size` rows with the parameter vectors they touch."""
     total = m * n
-    starts = range(0, total, CHUNK_ROWS)
-    ends = [min(s + CHUNK_ROWS, total) for s in starts]
+    starts = range(0, total, size)
+    ends = [min(s + size, total) for s in starts]
     return [(slice(s, e), slice(s // n, (e - 1) // n + 1)) for s, e in zip(starts, ends, strict=True)]

@@ -81,12 +81,14 @@ class ModelWriter:
         """Write one parameter vector xi (D,) into a model compiled as the nominal one was.
 
         Fields that an earlier vector changed go back to nominal first.
+
+        Raises:
+            BadParameter: MuJoCo refuses the model with these values.
         """
         for name, value in self._nominal_fields.items():
             set_field(model, name, value)
         self._write(model, xi)
-        data = self._data if model is self._scratch else mujoco.MjData(model)
-        mujoco.mj_setConst(model, data)
+        self._set_const(model, xi, self._data if model is self._scratch else mujoco.MjData(model))
 
     def rows(self, xi: Array) -> dict[str, Array]:
         """Model fields that depend on the parameters, for every vector: xi (M, D) to arrays (M, ...)."""
@@ -111,6 +113,13 @@ class ModelWriter:
         for e, columns in self._effects:
             e.write_model(model, np.asarray(xi[columns]))
 
+    def _set_const(self, model: mujoco.MjModel, xi: Array, data: mujoco.MjData) -> None:
+        try:
+            mujoco.mj_setConst(model, data)
+        except (mujoco.FatalError, ValueError) as error:
+            names = [s.parameter.name for s in self._slots] + [e.name for e, _ in self._effects]
+            raise BadParameter(f"{', '.join(names)}: MuJoCo refuses the model with the values {xi}: {error}") from None
+
     def _changing_fields(self, parameters: Sequence[Parameter]) -> list[str]:
         """Every field that differs from nominal under some parameter vector, derived constants included."""
         if not parameters:
@@ -122,7 +131,7 @@ class ModelWriter:
         for share in (0.0, 1.0, 0.3819, 0.7236):
             probe = copy.copy(self.nominal)
             self._write(probe, low + (high - low) * share)
-            mujoco.mj_setConst(probe, mujoco.MjData(probe))
+            self._set_const(probe, low + (high - low) * share, mujoco.MjData(probe))
             changed |= {f for f, v in before.items() if not np.array_equal(v, get_field(probe, f), equal_nan=True)}
         for slot in self._slots:
             if slot.parameter.field not in changed:
@@ -206,8 +215,14 @@ def _refuse_overlap(slots: Sequence[_Slot]) -> None:
     owner: dict[tuple[str, int, int], str] = {}
     for slot in slots:
         p = slot.parameter
+        written = [(p.field, p.component)]
+        if p.field == "body_mass" and p.scale_inertia:
+            written += [("body_inertia", axis) for axis in range(3)]
         for element in np.atleast_1d(slot.index[0]) if slot.index else [0]:
-            key = (p.field, int(element), p.component)
-            if key in owner:
-                raise BadParameter(f"{p.name} and {owner[key]} write the same number; drop one or split the targets")
-            owner[key] = p.name
+            for field, component in written:
+                other = owner.setdefault((field, int(element), component), p.name)
+                if other != p.name:
+                    raise BadParameter(
+                        f"{p.name} and {other} both write {field}; drop one or split the targets"
+                        + (" (a mass scales the inertia unless scale_inertia=False)" if field == "body_inertia" else "")
+                    )

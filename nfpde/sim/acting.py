@@ -1,0 +1,129 @@
+"""Effects at work: where their parameters stand, and what they do to the rows of one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import mujoco.batch
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.effects import Effect, World
+from nfpde.effects.effect import overrides
+
+Array = NDArray[np.float64]
+
+
+class BoundEffects:
+    """A simulator's effects, bound to its model.
+
+    Args:
+        model: the nominal model.
+        effects: bound effects.
+        first: column of a parameter vector where their parameters begin, one effect's after the other's.
+    """
+
+    def __init__(self, model: mujoco.MjModel, effects: Sequence[Effect], first: int) -> None:
+        self.model = model
+        self.effects = tuple(effects)
+        ends = first + np.cumsum([0, *(len(e.parameters) for e in effects)])
+        self._columns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
+        self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
+        self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
+        self.memory_time = self._memory_time()
+
+    def _memory_time(self) -> float:
+        """How far back [s] commands matter: effects in series on one command add up."""
+        behind = np.zeros(max(1, self.model.nu))
+        for e in self.effects:
+            behind[e.ctrls if e.kind == "actuator" else slice(None)] += e.memory_time()
+        return float(behind.max())
+
+    def on_rows(self, xi: Array) -> RowEffects:
+        """The effects with the parameters of R rows, (R, D)."""
+        return RowEffects(self, [xi[:, c] for c in self._columns])
+
+
+class RowEffects:
+    """What the effects do to the R rows of one call; `values[i]` holds the parameters (R, P) of effect i."""
+
+    def __init__(self, bound: BoundEffects, values: list[Array]) -> None:
+        self._bound = bound
+        self._values = values
+
+    def to_simulated(self, start: Array) -> Array:
+        """States of the simulation behind measured ones, (R, nx)."""
+        for e, values in zip(self._bound.effects, self._values, strict=True):
+            start = e.to_simulated(start, values)
+        return start
+
+    def to_measured(self, states: Array) -> Array:
+        """What sensors report of simulated states, (R, H, nx)."""
+        for e, values in zip(reversed(self._bound.effects), reversed(self._values), strict=True):
+            states = e.to_measured(states, values[:, None, :])
+        return states
+
+    def commands(self, windows: Windows, window: NDArray[np.intp], history: int, nsub: int) -> Array | None:
+        """Commands of every physics step as they reach the actuators, (R, H nsub, nu); None where nothing changes them.
+
+        Args:
+            windows: the windows.
+            window: which of them each row replays, (R,).
+            history: commands from before the start that matter.
+            nsub: physics steps in a control step.
+        """
+        acting = self._acting(self._bound.on_command)
+        if not acting:
+            return None
+        past = windows.history[:, windows.nhistory - history :]
+        signal = np.concatenate([past[window], windows.ctrl[window]], axis=1).repeat(nsub, axis=1)
+        for e, rows, values in acting:
+            signal[rows] = e.command(signal[rows], values, self._bound.model.opt.timestep)
+        return signal[:, history * nsub :]
+
+    def before_steps(self, batch: mujoco.batch.Batch, n: int) -> BeforeStep | None:
+        """What to call before every physics step of the batch's first n simulations; None if no effect acts there."""
+        acting = self._acting(self._bound.on_step)
+        if not acting:
+            return None
+        fields = {f: batch.expand(f)[:n] for f in self._bound.step_fields}
+        state = (batch.bind(f)[:n] for f in ("qpos", "qvel", "ctrl", "qfrc_applied"))
+        world = World(self._bound.model, *state, fields=fields)
+        return BeforeStep(world, {f: v.copy() for f, v in fields.items()}, acting)
+
+    def _acting(self, which: list[int]) -> list[tuple[Effect, NDArray[np.intp], Array]]:
+        """Effects that are not neutral in all rows, with the rows where they are not and their parameters there."""
+        found = []
+        for i in which:
+            e, values = self._bound.effects[i], self._values[i]
+            rows = np.flatnonzero(e.active(values))
+            if len(rows):
+                found.append((e, rows, values[rows]))
+        return found
+
+
+@dataclass
+class BeforeStep:
+    """Lets effects act before a physics step.
+
+    world: what they see and change
+    fields: the rows' own values of the model fields that effects change, put back before every step
+    acting: effects, rows, parameters
+    """
+
+    world: World
+    fields: dict[str, Array]
+    acting: list[tuple[Effect, NDArray[np.intp], Array]]
+
+    def __call__(self) -> None:
+        """Start from the rows' own fields and no force, and let every effect add its part."""
+        for name, own in self.fields.items():
+            self.world.fields[name][...] = own
+        self.world.qfrc_applied[...] = 0.0
+        for e, rows, values in self.acting:
+            e.step(self.world, rows, values)
