@@ -75,6 +75,7 @@ BAD = {
     "objects": ({"actions": np.full((3, 1), None)}, {}, "hopper_actions.npy cannot be read"),
     "not finite": ({"actions": np.full((3, 1), np.nan)}, {}, "episode '0', row 0, column ctrl_0: the value is nan"),
     "empty": ({k: a[:0] for k, a in arrays().items()}, {}, "the files hold no transition"),
+    "clipped after": ({}, {"velocity_limit": 6.0}, "row 2, observation column 0: a velocity of exactly +-6"),
     "clipped": ({}, {"velocity_limit": 5.0}, "row 2, observation column 0: a velocity of exactly +-5 (1 such row(s))"),
 }
 

@@ -32,7 +32,7 @@ def test_so101_arm(tmp_path):
     """75 minutes of a real arm: jitter above 1 % is refused, resampling to 20 ms makes 50 even motions."""
     episodes = arm_episodes()
     with pytest.raises(
-        BadDataset, match=r"episode 'actuator_bandwidth': .*uneven, from 0\.0200\d+ to 0\.0202\d+ s .*resample=0\.0201"
+        BadDataset, match=r"episode 'actuator_bandwidth': .*uneven, from 0\.0200\d+ to 0\.0202\d+ s .*resample=0\.02\)"
     ):
         Dataset(episodes)
     data = Dataset([resample_episode(e, 0.02) for e in episodes])

@@ -48,11 +48,18 @@ def test_resampling_keeps_straight_lines_and_holds_commands(steps, control_dt, s
 
 def test_resampling_an_even_recording_to_its_own_step_changes_nothing():
     """Same number of rows, same commands, same values up to rounding, although 0.1 is no binary fraction."""
-    old = along(0.1 * np.arange(1001) + 1e6)  # like a clock's seconds: times carry rounding errors of 1e-10
-    new = resample_episode(old, 0.1)
-    assert len(new) == 1001
-    assert_array_equal(new.ctrl, old.ctrl)
-    assert_allclose(new.qpos, old.qpos, rtol=0, atol=1e-8)
+    for time in (
+        np.cumsum(np.full(1001, 0.1)),
+        1e6 + np.cumsum(np.full(1001, 0.1)),
+        -np.cumsum(np.full(1001, 0.1))[::-1],
+    ):
+        turn = np.stack([np.cos(time), np.sin(time), 0 * time, 0 * time], axis=1)
+        old = Episode("a", time, turn, turn[:, :3], np.arange(1001)[:, None])
+        new = resample_episode(old, 0.1, quaternions=[0])
+        assert len(new) == 1001
+        assert_array_equal(new.ctrl, old.ctrl)
+        assert_allclose(new.qpos, old.qpos, rtol=0, atol=1e-8)  # a clock at 1e6 s rounds to 1e-10 s
+        assert_allclose(new.qvel, old.qvel, rtol=0, atol=1e-8)
 
 
 def test_quaternions_turn_at_constant_rate():
@@ -123,7 +130,7 @@ def test_split_at_gaps():
 
 def test_loading_resampled_and_split(tmp_path):
     """An uneven file is refused as it is, loads with `resample`, and loads in pieces with `split_gaps`."""
-    time = np.array([0, 1.1, 2, 3, 13, 14, 15, 16.1])
+    time = np.array([0, 1.1, 2, 4, 14, 15, 16, 17.1])  # steps of 1, one of 2 to bridge, one of 10 to cut at
     arrays = {"episode": np.zeros(8, int), "qpos": time[:, None], "qvel": time[:, None], "ctrl": time[:, None]}
     np.savez(tmp_path / "d.npz", time=time, **arrays)
     with pytest.raises(BadDataset, match="split_gaps=True"):
@@ -132,8 +139,8 @@ def test_loading_resampled_and_split(tmp_path):
     assert data.names == ["0/0", "0/1"]
     assert data.control_dt == 0.5
     assert data.metadata.control_dt == 0.5
-    assert_allclose(data["0/1"].qpos[:, 0], 13 + 0.5 * np.arange(7), rtol=1e-12)
-    assert len(load_dataset(tmp_path / "d.npz", resample=0.5, max_gap=10.5)["0"]) == 33
+    assert_allclose(data["0/1"].qpos[:, 0], 14 + 0.5 * np.arange(7), rtol=1e-12)
+    assert len(load_dataset(tmp_path / "d.npz", resample=0.5, max_gap=10.5)["0"]) == 35
 
 
 def test_dataset_resample_updates_the_metadata():

@@ -13,7 +13,7 @@ from nfpde.dataset.metadata import Metadata
 from nfpde.dataset.naming import naming
 from nfpde.dataset.resample import resample_episode
 from nfpde.dataset.split import held_out_episodes
-from nfpde.dataset.timing import control_step, same_step
+from nfpde.dataset.timing import control_step, round_step, same_step
 from nfpde.dataset.windows import Windows, cut_windows
 from nfpde.errors import BadDataset, BadInput
 
@@ -179,7 +179,7 @@ class Dataset:
             episodes = [
                 resample_episode(e, control_dt, quaternions=quaternions, max_gap=max_gap) for e in self.episodes
             ]
-        return replace(self, episodes=episodes, metadata=replace(self.metadata, control_dt=control_dt))
+        return replace(self, episodes=episodes, metadata=replace(self.metadata, control_dt=float(control_dt)))
 
     def content_hash(self) -> str:
         """SHA-256 (hex) of names, robots, column names and every number, whatever file they came from.
@@ -220,7 +220,7 @@ class Dataset:
                 raise BadDataset(
                     f"episode {e.name!r} has a control step of {step:.6g} s where the median episode has "
                     f"{median:.6g} s; all must agree within 0.1 %. Resample: load_dataset(..., "
-                    f"resample={median:.3g}), or resample_episode on each episode."
+                    f"resample={round_step(median)}), or resample_episode on each episode."
                 )
         rows = sum(len(e) - 1 for e in self.episodes)
         control_dt = float(f"{sum(e.duration for e in self.episodes) / rows:.12g}")

@@ -60,7 +60,7 @@ def load_dataset(
         metadata = recording.metadata
         if resample is not None:
             episodes = [resample_episode(e, resample, quaternions=quaternions, max_gap=max_gap) for e in episodes]
-            metadata = replace(metadata, control_dt=resample)
+            metadata = replace(metadata, control_dt=float(resample))
         return Dataset(
             episodes,
             metadata=metadata,

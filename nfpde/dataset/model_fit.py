@@ -94,7 +94,7 @@ def _in_model_order(dataset: Dataset, names: Mapping[str, Sequence[str]]) -> Dat
 
 def _check_step(control_dt: float, timestep: float) -> None:
     ratio = control_dt / timestep
-    if ratio >= 0.5 and same_step(round(ratio) * timestep, control_dt):
+    if same_step(round(ratio) * timestep, control_dt):
         return
     multiples = [n * timestep for n in (int(ratio), int(ratio) + 1) if n > 0]
     raise BadDataset(

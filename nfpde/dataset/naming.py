@@ -8,7 +8,7 @@ from nfpde.errors import BadDataset
 
 @contextmanager
 def naming(source: object | None) -> Iterator[None]:
-    """Within the block a `BadDataset` begins with `source:`, unless `source` is None.
+    """Within the block a `BadDataset` begins with `source:`, unless it does already or `source` is None.
 
     Args:
         source: The file, or None.
@@ -16,6 +16,6 @@ def naming(source: object | None) -> Iterator[None]:
     try:
         yield
     except BadDataset as error:
-        if source is None or str(error).startswith(f"{source}: "):
+        if source is None or str(error).startswith(str(source)):
             raise
         raise BadDataset(f"{source}: {error}") from error.__cause__

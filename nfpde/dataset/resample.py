@@ -50,7 +50,8 @@ def resample_episode(
             f"episode {episode.name!r} lasts {episode.duration:.6g} s, less than one control step of {control_dt:.6g} "
             "s; resample to a smaller step, or remove the episode."
         )
-    time = np.minimum(episode.time[0] + control_dt * np.arange(int(steps) + 1), episode.time[-1])
+    even = episode.time[0] + control_dt * np.arange(int(steps) + 1)
+    time = np.minimum(even, episode.time[-1])  # the last may lie beyond by a rounding error
     held = np.searchsorted(episode.time, time + 1e-6 * control_dt, side="right") - 1
     qpos = _interpolate(episode.time, episode.qpos, time)
     for first in quaternions:
@@ -58,7 +59,7 @@ def resample_episode(
         qpos[:, columns] = _slerp(episode, columns, time)
     return Episode(
         name=episode.name,
-        time=episode.time[0] + control_dt * np.arange(int(steps) + 1),
+        time=even,
         qpos=qpos,
         qvel=_interpolate(episode.time, episode.qvel, time),
         ctrl=episode.ctrl[held],
@@ -173,8 +174,4 @@ def _slerp(episode: Episode, columns: slice, new: NDArray[np.float64]) -> NDArra
             f"episode {episode.name!r}, row {row}, column qpos_{columns.start}: the quaternion is zero; "
             "it must have unit length."
         )
-    turned = Slerp(episode.time, Rotation.from_quat(recorded, scalar_first=True))(new)
-    quaternions = turned.as_quat(scalar_first=True)
-    nearest = recorded[np.searchsorted(episode.time, new, side="right") - 1]
-    flipped = np.sum(quaternions * nearest, axis=1, keepdims=True) < 0  # q and -q are one rotation: keep the sign
-    return np.where(flipped, -quaternions, quaternions)
+    return Slerp(episode.time, Rotation.from_quat(recorded, scalar_first=True))(new).as_quat(scalar_first=True)

@@ -52,7 +52,7 @@ def control_step(episode: Episode) -> float:
             f"episode {episode.name!r}, row {row}: {step:.6g} s passed since the row before, where the median step "
             f"is {median:.6g} s: about {lost} row(s) are missing there ({len(gaps)} such gap(s) in the episode). "
             "Split the episode there (load_dataset(..., split_gaps=True), split_episode_at_gaps), or bridge short "
-            f"gaps by resampling (load_dataset(..., resample={median:.3g}), resample_episode)."
+            f"gaps by resampling (load_dataset(..., resample={round_step(median)}), resample_episode)."
         )
     worst = int(np.argmax(np.abs(steps - mean)))
     spread = abs(float(steps[worst]) - mean) / mean
@@ -60,8 +60,8 @@ def control_step(episode: Episode) -> float:
         raise BadDataset(
             f"episode {episode.name!r}: the steps in time are uneven, from {steps.min():.6g} to {steps.max():.6g} s "
             f"around {mean:.6g} s (worst before row {worst + 1}: {100 * spread:.3g} % off, at most "
-            f"{100 * STEP_TOLERANCE:g} % is allowed). Resample it: load_dataset(..., resample={median:.3g}), or "
-            "resample_episode on each Episode before the Dataset is made (an evenly spaced one has "
+            f"{100 * STEP_TOLERANCE:g} % is allowed). Resample it: load_dataset(..., resample={round_step(median)}), "
+            "or resample_episode on each Episode before the Dataset is made (an evenly spaced one has "
             "Dataset.resample)."
         )
     return mean
@@ -70,3 +70,9 @@ def control_step(episode: Episode) -> float:
 def same_step(a: float, b: float) -> bool:
     """Whether two control steps [s] count as one."""
     return abs(a - b) <= CONTROL_DT_TOLERANCE * max(a, b)
+
+
+def round_step(step: float) -> str:
+    """A step to resample to, written with two digits where that changes it by less than 1 %, else three."""
+    short = f"{step:.2g}"
+    return short if abs(float(short) - step) < 0.01 * step else f"{step:.3g}"
