@@ -27,17 +27,17 @@ def element_names(model: mujoco.MjModel, kind: str) -> list[str]:
     a name by `#<id>`.
     """
     obj, size = KINDS[kind]
-    names = []
-    for i in range(getattr(model, size)):
-        name = mujoco.mj_id2name(model, obj, i) or ""
-        if not name and kind == "actuator" and model.actuator_trntype[i] in _JOINT_TRANSMISSIONS:
-            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(model.actuator_trnid[i, 0])) or ""
-            name = "" if name in names else name
-        names.append(name or f"#{i}")
-    return names
+    names = [mujoco.mj_id2name(model, obj, i) or "" for i in range(getattr(model, size))]
+    if kind == "actuator":
+        joints = element_names(model, "joint")
+        for i, name in enumerate(names):
+            if not name and int(model.actuator_trntype[i]) in _JOINT_TRANSMISSIONS:
+                joint = joints[int(model.actuator_trnid[i, 0])]
+                names[i] = joint if joint not in names and not joint.startswith("#") else ""
+    return [name or f"#{i}" for i, name in enumerate(names)]
 
 
-_JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def element_ids(

@@ -45,8 +45,12 @@ def files_of(unit):
 def imported_names(path):
     """Full dotted names the file imports, wherever in the file the import stands."""
     here = ["nfpde", *path.relative_to(PACKAGE).parent.parts] if PACKAGE in path.parents else []
+    return names_in(path.read_text(encoding="utf-8"), here)
+
+
+def names_in(source, here):
     names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom):
             base = here[: len(here) - node.level + 1] if node.level else []
             module = [*base, *(node.module or "").split(".")] if node.module else base
@@ -151,10 +155,4 @@ def test_no_pickle():
 )
 def test_imports_are_found(source, expected):
     """The reader of imports sees relative ones and those inside functions."""
-    folder = PACKAGE / "sim"
-
-    class Source(type(folder)):
-        def read_text(self, encoding=None):
-            return source
-
-    assert imported_names(Source(folder / "x.py")) == [expected]
+    assert names_in(source, ["nfpde", "sim"]) == [expected]
