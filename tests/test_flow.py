@@ -12,6 +12,8 @@ from nfpde.errors import BadInput
 from nfpde.flow import INITIAL_SCALE, Box, Density, GaussianMixture, build_flow, make_density
 from nfpde.parameters import Parameter, ParameterSpace
 
+torch.set_num_threads(1)  # the tensors are small: more threads only wait for each other
+
 SPACE = ParameterSpace([Parameter("a", low=-1.0, high=3.0), Parameter("b", low=0.0, high=1e-3)])
 KINDS = [("nsf", 1), ("realnvp", 2), ("nsf", 2), ("maf", 2), ("realnvp", 5), ("mixture", 1), ("mixture", 3)]
 

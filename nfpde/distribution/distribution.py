@@ -15,7 +15,7 @@ from nfpde.errors import BadInput
 from nfpde.flow import Density
 from nfpde.parameters import ParameterSpace
 
-_CHUNK = 65536
+_CHUNK = 8192  # points evaluated at once: bounds the memory of mixtures with many components
 
 
 class ParameterDistribution:

@@ -8,12 +8,15 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
 
 BOUND_ZONE, BOUND_SHARE = 0.01, 0.05
+_NOTE = "share: from 5 % to 95 %, of the box; 90 % where the data said nothing"
 
 
 @dataclass(frozen=True)
@@ -63,20 +66,19 @@ class Summary:
 
     def __rich__(self) -> Table:
         """The table for a terminal."""
-        table = Table(caption=f"from {self.samples} samples; share: width of 5-95 % over the width of the box")
-        table.add_column("parameter", no_wrap=True)
-        table.add_column("unit")
+        table = Table(box=SIMPLE_HEAD, padding=(0, 1), caption=f"{self.samples} samples; {_NOTE}")
         nominal = any(p.nominal is not None for p in self.parameters)
-        numbers = ["nominal"] * nominal + ["mean", "std", "5 %", "median", "95 %", "bounds", "share"]
-        for heading in numbers:
-            table.add_column(heading, justify="right")
-        table.add_column("")
+        leaning = any(p.leans_on is not None for p in self.parameters)
+        table.add_column("parameter", overflow="fold", min_width=12)
+        for heading in [*["nominal"] * nominal, "mean", "5 %", "95 %", "low", "high", "share"]:
+            table.add_column(heading, justify="right", no_wrap=True)
+        if leaning:
+            table.add_column("leans on")
         for p in self.parameters:
+            name = f"{p.name} [{p.unit}]" if p.unit else p.name
             own = [_number(p.nominal)] * nominal
-            figures = [_number(v) for v in (p.mean, p.std, p.q05, p.q50, p.q95)]
-            note = f"leans on {p.leans_on}" if p.leans_on else ""
-            bounds = f"{_number(p.low)} .. {_number(p.high)}"
-            table.add_row(p.name, p.unit, *own, *figures, bounds, f"{p.width_share:.0%}", note)
+            figures = [_number(v) for v in (p.mean, p.q05, p.q95, p.low, p.high)]
+            table.add_row(escape(name), *own, *figures, f"{p.width_share:.0%}", *[p.leans_on or ""] * leaning)
         return table
 
 
@@ -118,4 +120,4 @@ def _bound(low: bool, high: bool) -> Literal["low", "high", "both"] | None:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+    return "" if value is None else f"{value:.3g}"

@@ -78,7 +78,11 @@ class GaussianMixture(nn.Module):
         uniform = torch.rand(n, generator=generator, dtype=torch.float64, device=device) * ends[-1]
         k = torch.searchsorted(ends, uniform, right=True).clamp_max(self.components - 1).to(self.means.device)
         noise = torch.randn(n, self.features, generator=generator, dtype=torch.float64, device=device)
-        return self.means[k] + (self.scale_tril[k] @ noise.to(self.means.device)[..., None])[..., 0]
+        z, noise = self.means[k], noise.to(self.means.device)
+        for component, factor in enumerate(self.scale_tril):
+            rows = k == component
+            z[rows] += noise[rows] @ factor.mT
+        return z
 
     def config(self) -> dict[str, Any]:
         """Kind and sizes as JSON; `make_density` builds a mixture of the same shape from it."""

@@ -1,0 +1,4 @@
+"""Pictures of distributions."""
+
+from nfpde.corner.corner import Sampler as Sampler
+from nfpde.corner.corner import corner as corner

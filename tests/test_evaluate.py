@@ -1,0 +1,137 @@
+"""Measuring a distribution against the truth."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from nfpde.distribution import ParameterDistribution
+from nfpde.errors import BadInput, SpaceMismatch
+from nfpde.evaluate import evaluate
+from nfpde.flow import GaussianMixture, build_flow
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.truth import Population, Truth
+
+SPACE = ParameterSpace([Parameter("mass", low=2.0, high=6.0, unit="kg"), Parameter("damping", low=0.0, high=0.1)])
+POPULATION = Population(np.ones(1), np.array([[4.0, 0.05]]), np.diag([0.04, 2.5e-5])[None])
+
+
+def gaussian(centre, scale, space=SPACE):
+    """A Gaussian in z around the physical point `centre`."""
+    d = len(space)
+    mean = torch.tensor(space.to_unconstrained(centre))[None]
+    return ParameterDistribution(
+        space, GaussianMixture(torch.ones(1), mean, scale**2 * torch.eye(d, dtype=torch.float64)[None])
+    )
+
+
+def make_truth(n=6, population=POPULATION):
+    rng = np.random.default_rng(5)
+    return Truth(SPACE, POPULATION.sample(n, SPACE, rng), [f"e{i}" for i in range(n)], population)
+
+
+def test_distances_agree_with_an_assignment():
+    """With as many samples as episodes, optimal transport is the best assignment, which SciPy solves."""
+    truth, estimate = make_truth(40), gaussian([3.0, 0.03], 1.0)
+    result = evaluate(estimate, truth, samples=40)
+    for width, got in (
+        (1.0, result.to_episodes["estimate"].physical),
+        (SPACE.width, result.to_episodes["estimate"].box),
+    ):
+        cost = cdist(result.xi / width, truth.xi / width)
+        assert got == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
+
+
+def test_distance_to_one_episode_is_the_mean_distance_of_the_samples():
+    """All mass must go to the single point."""
+    truth = Truth(SPACE, np.array([[4.0, 0.05]]), ["only"])
+    result = evaluate(gaussian([3.0, 0.03], 1.0), truth, samples=500)
+    expected = np.linalg.norm(result.xi - truth.xi, axis=1).mean()
+    assert result.to_episodes["estimate"].physical == pytest.approx(expected, rel=1e-9)
+    assert result.to_population == {}
+    assert set(result.to_episodes) == {"estimate", "uniform"}
+
+
+def test_rows_are_in_the_order_that_their_closeness_demands():
+    """The population beats a wide estimate, which beats a wrong one; the rows are all there."""
+    truth = make_truth(20)
+    wrong = gaussian([2.1, 0.095], 0.1)
+    result = evaluate(gaussian([4.0, 0.05], 0.5), truth, initial=wrong, samples=300)
+    for table in (result.to_episodes, result.to_population):
+        assert list(table) == ["estimate", "initial", "uniform", "population"]
+        for unit in ("physical", "box"):
+            ranks = [getattr(table[k], unit) for k in ("population", "estimate", "uniform", "initial")]
+            assert ranks == sorted(ranks)
+
+
+def test_coverage_is_the_share_inside_the_intervals():
+    """The median counts as covered, points far outside do not; each parameter on its own."""
+    truth = Truth(SPACE, np.array([[4.0, 0.05], [4.0, 0.099], [5.9, 0.05], [4.0, 0.001]]), list("abcd"))
+    result = evaluate(gaussian([4.0, 0.05], 0.1), truth, samples=500)
+    assert result.coverage_50 == [0.75, 0.5]
+    assert result.coverage_90 == [0.75, 0.5]
+
+
+def test_coverage_of_the_right_distribution_is_right():
+    """True parameters drawn from the estimate itself fall inside its intervals as often as they should."""
+    estimate = gaussian([4.0, 0.05], 0.7)
+    n = 800
+    truth = Truth(SPACE, estimate.sample(n, seed=9), [str(i) for i in range(n)])
+    result = evaluate(estimate, truth, samples=1000)
+    # four standard errors of a share out of 800, and of the quantiles of 1000 samples
+    for shares, expected in ((result.coverage_50, 0.5), (result.coverage_90, 0.9)):
+        error = 4 * np.sqrt(expected * (1 - expected) * (1 / n + 1 / 1000))
+        np.testing.assert_allclose(shares, expected, atol=error)
+
+
+def test_log_density_gain_counts_from_the_uniform_distribution():
+    """A Gaussian in z has the gain of the formula at its centre; a true parameter on a bound gives -inf."""
+    truth = Truth(SPACE, np.array([[4.0, 0.05]]), ["only"])
+    sharp = evaluate(gaussian([4.0, 0.05], 0.1), truth, samples=10)
+    # at z = 0 a Gaussian of width s has density 1 / (s sqrt(2 pi)), and the box has slope width / 4
+    expected = 2 * np.log(4 / (0.1 * np.sqrt(2 * np.pi)))
+    assert sharp.log_density_gain == pytest.approx(expected, rel=1e-9)
+    on_bound = evaluate(gaussian([4.0, 0.05], 0.1), Truth(SPACE, np.array([[2.0, 0.05]]), ["only"]), samples=10)
+    assert on_bound.log_density_gain == -np.inf
+    assert on_bound.to_json()["log_density_gain"] is None
+
+
+def test_evaluation_repeats():
+    """Equal seeds give equal figures, another seed others."""
+    truth, estimate = make_truth(), gaussian([3.0, 0.03], 1.0)
+    first, again, other = (evaluate(estimate, truth, samples=50, seed=s).to_json() for s in (1, 1, 2))
+    assert first == again
+    assert first != other
+
+
+def test_json_table_and_picture(tmp_path):
+    """The JSON is valid, the table shows all rows and units, the picture is a PNG."""
+    result = evaluate(gaussian([4.0, 0.05], 0.5), make_truth(), samples=50)
+    content = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    distance = content["optimal_transport"]["to_population"]["estimate"]
+    assert distance == {
+        "physical": result.to_population["estimate"].physical,
+        "box": result.to_population["estimate"].box,
+    }
+    assert set(content["coverage"]) == {"mass", "damping"}
+    out = io.StringIO()
+    Console(file=out, width=80).print(result)
+    for text in ("to episodes", "to population", "in boxes", "uniform", "damping", "nats", "50 samples"):
+        assert text in out.getvalue()
+    assert result.draw(tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_other_spaces_are_refused():
+    """Estimate, initial distribution and truth must be about the same parameters."""
+    other = ParameterSpace([SPACE[0], Parameter("damping", low=0.0, high=0.2)])
+    with pytest.raises(SpaceMismatch, match=r"damping.*high is 0\.2 here and 0\.1 there"):
+        evaluate(ParameterDistribution(other, build_flow(2)), make_truth())
+    with pytest.raises(SpaceMismatch, match="damping"):
+        evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), initial=ParameterDistribution(other, build_flow(2)))
+    with pytest.raises(BadInput, match="samples must be at least 2, got 1"):
+        evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), samples=1)
