@@ -1,14 +1,14 @@
 """Build a density of a given kind and size, ready to take over saved tensors."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
 from nfpde.errors import BadInput
 from nfpde.flow.density import Density
 from nfpde.flow.mixture import GaussianMixture
-from nfpde.flow.model import build_flow
+from nfpde.flow.model import FlowKind, build_flow
 
 
 def make_density(config: Mapping[str, Any]) -> Density:
@@ -19,9 +19,9 @@ def make_density(config: Mapping[str, Any]) -> Density:
     """
     sizes = dict(config)
     kind = sizes.pop("kind", None)
-    builders = {"gaussian_mixture": _mixture, "realnvp": build_flow, "nsf": build_flow, "maf": build_flow}
-    if kind not in builders:
-        raise BadInput(f"unknown density kind {kind!r}; there are: {', '.join(builders)}")
+    kinds = ("gaussian_mixture", *get_args(FlowKind))
+    if kind not in kinds:
+        raise BadInput(f"unknown density kind {kind!r}; there are: {', '.join(kinds)}")
     try:
         return _mixture(**sizes) if kind == "gaussian_mixture" else build_flow(kind=kind, **sizes)
     except TypeError as error:
@@ -29,6 +29,8 @@ def make_density(config: Mapping[str, Any]) -> Density:
 
 
 def _mixture(features: int, components: int) -> GaussianMixture:
+    if not all(isinstance(v, int) and v >= 1 for v in (features, components)):
+        raise BadInput(f"features and components must be integers of at least 1, got {features!r} and {components!r}")
     return GaussianMixture(
         torch.ones(components),
         torch.zeros(components, features),
