@@ -68,6 +68,17 @@ def test_extreme_floats_survive(suffix, tmp_path):
     assert_array_equal(back.qvel.view(np.int64), data["a"].qvel.view(np.int64))
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("name", ["007", "0", "99999999999999999999", "٣", "1e3", "3.0", "nan", "NA", "a,b", '"q"'])
+def test_names_that_look_like_numbers(name, suffix, tmp_path):
+    """Labels come back letter by letter, also where they could be taken for a number or a missing value."""
+    save_dataset(
+        Dataset([Episode(name, [0, 1], [[1], [2]], [[3], [4]], [[5], [6]], robot=name)]), tmp_path / f"d{suffix}"
+    )
+    back = load_dataset(tmp_path / f"d{suffix}")[0]
+    assert (back.name, back.robot) == (name, name)
+
+
 def test_npz_of_plain_numpy(tmp_path):
     """A file made with numpy alone loads: whole-number labels, integers, float32, an array that is not read."""
     np.savez(

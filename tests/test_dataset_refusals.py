@@ -34,6 +34,8 @@ UNEVEN = [timed(0, 0.1, 0.2, 0.3, 0.42)]
         (GAPPED, "about 3 row(s) are missing there (1 such gap(s) in the episode). Split the episode there"),
         (UNEVEN, "episode 'a': the steps in time are uneven, from 0.1 to 0.12 s around 0.105 s"),
         (UNEVEN, "(worst before row 4: 14.3 % off, at most 1 % is allowed)"),
+        ([timed(0, 0.0200602, 0.0401204, 0.061)], "resample=0.02)"),
+        ([timed(0, 0.0166667, 0.0333333, 0.0505)], "resample=0.0167)"),
         (UNEVEN, "Resample it: load_dataset(..., resample=0.1), or resample_episode"),
     ],
 )

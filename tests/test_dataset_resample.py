@@ -137,10 +137,39 @@ def test_loading_resampled_and_split(tmp_path):
         load_dataset(tmp_path / "d.npz")
     data = load_dataset(tmp_path / "d.npz", resample=0.5, split_gaps=True)
     assert data.names == ["0/0", "0/1"]
+    assert data["0/0"].duration == 4
     assert data.control_dt == 0.5
     assert data.metadata.control_dt == 0.5
     assert_allclose(data["0/1"].qpos[:, 0], 14 + 0.5 * np.arange(7), rtol=1e-12)
     assert len(load_dataset(tmp_path / "d.npz", resample=0.5, max_gap=10.5)["0"]) == 35
+
+
+def test_pieces_too_short_for_one_step_are_left_out(tmp_path):
+    """Cutting at gaps may leave a piece of less than one new control step; the others load, numbered as cut."""
+    time = np.array([0, 0.1, 0.2, 0.3, 5, 5.1, 9, 9.1, 9.2, 9.3])
+    arrays = {"episode": np.zeros(10, int), "qpos": time[:, None], "qvel": time[:, None], "ctrl": time[:, None]}
+    np.savez(tmp_path / "d.npz", time=time, **arrays)
+    data = load_dataset(tmp_path / "d.npz", resample=0.15, split_gaps=True)
+    assert data.names == ["0/0", "0/2"]
+    assert_allclose(data["0/2"].time, [9, 9.15, 9.3])
+
+
+def test_the_whole_episode_decides_what_a_gap_is(tmp_path):
+    """A piece of denser rows than the rest may keep steps that its own median would call gaps."""
+    time = np.concatenate([np.arange(8.0), 20 + np.array([0, 0.5, 1, 4, 4.5, 5])])
+    arrays = {"episode": np.zeros(14, int), "qpos": time[:, None], "qvel": time[:, None], "ctrl": time[:, None]}
+    np.savez(tmp_path / "d.npz", time=time, **arrays)
+    data = load_dataset(tmp_path / "d.npz", resample=0.5, split_gaps=True)
+    assert data.names == ["0/0", "0/1"]
+    assert_allclose(data["0/1"].qpos[:, 0], 20 + 0.5 * np.arange(11))
+
+
+def test_arguments_that_would_do_nothing_are_refused(tmp_path):
+    """`quaternions` and `max_gap` only mean something together with what uses them."""
+    with pytest.raises(BadInput, match="quaternions is given without resample, where it would do nothing"):
+        load_dataset(tmp_path / "d.npz", quaternions=[3])
+    with pytest.raises(BadInput, match="max_gap is given without resample or split_gaps, where it would do nothing"):
+        load_dataset(tmp_path / "d.npz", max_gap=1.0)
 
 
 def test_dataset_resample_updates_the_metadata():

@@ -14,7 +14,7 @@ from nfpde.dataset.npz import read_npz, write_npz
 from nfpde.dataset.parquet_file import read_parquet, write_parquet
 from nfpde.dataset.recording import Recording
 from nfpde.dataset.resample import bridged_step, resample_episode, split_episode_at_gaps
-from nfpde.errors import BadDataset
+from nfpde.errors import BadDataset, BadInput
 
 _READERS: dict[str, Callable[[Path], Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
 _WRITERS: dict[str, Callable[[Dataset, Path], None]] = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
@@ -37,11 +37,11 @@ def load_dataset(
         path: `.npz`, `.csv` or `.parquet`, or a folder of files of one of these formats.
         resample: Control step to resample every episode to [s]; None takes the rows as they are. See
             `resample_episode`.
-        quaternions: First qpos column of each unit quaternion, needed only for resampling.
-        max_gap: Longest step in time that is no gap [s]; None means 5 median steps where `resample` is given
-            (they are bridged), else 1.5.
+        quaternions: First qpos column of each unit quaternion; only together with `resample`.
+        max_gap: Longest step in time that is no gap [s], together with `resample` or `split_gaps`; None means 5
+            median steps where `resample` is given (they are bridged), else 1.5.
         split_gaps: Whether to cut an episode into pieces at its gaps, instead of refusing it. The pieces are
-            named NAME/0, NAME/1, ...
+            named NAME/0, NAME/1, ...; those too short for one control step are left out.
 
     Returns:
         The data set.
@@ -51,16 +51,21 @@ def load_dataset(
             rule and what to do.
         BadInput: An argument does not make sense.
     """
+    if resample is None and quaternions:
+        raise BadInput("quaternions is given without resample, where it would do nothing; give resample, or neither.")
+    if resample is None and not split_gaps and max_gap is not None:
+        raise BadInput("max_gap is given without resample or split_gaps, where it would do nothing; give one of them.")
     path = Path(path)
     with naming(path):
         recording = _read(path)
-        episodes = list(recording.episodes)
-        if split_gaps:
-            episodes = [piece for e in episodes for piece in split_episode_at_gaps(e, _gap(e, max_gap, resample))]
-        metadata = recording.metadata
+        episodes, metadata = list(recording.episodes), recording.metadata
         if resample is not None:
-            episodes = [resample_episode(e, resample, quaternions=quaternions, max_gap=max_gap) for e in episodes]
+            episodes = [
+                new for e in episodes for new in _resample(e, resample, quaternions, max_gap, split_gaps=split_gaps)
+            ]
             metadata = replace(metadata, control_dt=float(resample))
+        elif split_gaps:
+            episodes = [piece for e in episodes for piece in split_episode_at_gaps(e, max_gap)]
         return Dataset(
             episodes,
             metadata=metadata,
@@ -106,8 +111,15 @@ def _read(path: Path) -> Recording:
     return read(path)
 
 
-def _gap(episode: Episode, max_gap: float | None, resample: float | None) -> float | None:
-    return bridged_step(episode) if max_gap is None and resample is not None else max_gap
+def _resample(
+    episode: Episode, control_dt: float, quaternions: Sequence[int], max_gap: float | None, *, split_gaps: bool
+) -> list[Episode]:
+    max_gap = bridged_step(episode) if max_gap is None else max_gap
+    pieces = [episode]
+    if split_gaps:
+        pieces = split_episode_at_gaps(episode, max_gap)
+        pieces = [piece for piece in pieces if piece is episode or piece.duration >= control_dt]
+    return [resample_episode(piece, control_dt, quaternions=quaternions, max_gap=max_gap) for piece in pieces]
 
 
 def _known_suffix(path: Path) -> str:

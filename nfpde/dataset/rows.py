@@ -117,7 +117,7 @@ def label_texts(labels: Any, what: str) -> NDArray[np.str_]:
 
 def _is_number(name: str) -> bool:
     """Whether a name is what a whole number of at most 15 digits (below 2**53) would become."""
-    return len(name) < 16 and name.isascii() and name.isdecimal() and str(int(name)) == name
+    return len(name) < 16 and name.isdecimal() and str(int(name)) == name
 
 
 def _check_contiguous(labels: NDArray[np.str_], starts: NDArray[np.int64]) -> None:
