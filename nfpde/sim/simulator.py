@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset import Windows
 from nfpde.errors import BadInput
@@ -57,7 +57,7 @@ class Simulator(ABC):
             in which a simulation diverged, its row is NaN.
         """
 
-    def predict(self, xi: Array, windows: Windows) -> Array:
+    def predict(self, xi: ArrayLike, windows: Windows) -> Array:
         """Predicted states of all pairs: parameter vectors (M, D), N windows, to (M, N, H, nq+nv).
 
         Raises:
@@ -72,7 +72,7 @@ class Simulator(ABC):
             out[rows] = self.rollout(xi[vectors], windows, vector - vectors.start, window)
         return out.reshape(m, n, windows.horizon, self.states.nx)
 
-    def losses(self, xi: Array, windows: Windows, scale: Array) -> Array:
+    def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """Squared prediction errors of all pairs, without keeping the states.
 
         The loss of a pair is the sum over its H steps and all channels of (difference / scale)^2; with scale 1 and
@@ -111,8 +111,8 @@ class Simulator(ABC):
         """Commands before a window's start that its simulation needs, at a control step of control_dt [s]."""
         return int(np.ceil(self.memory_time / control_dt - 1e-9)) + 1 if self.memory_time > 0 else 0
 
-    def _check(self, xi: Array, windows: Windows) -> Array:
-        xi = self.space.check(xi)
+    def _check(self, xi: ArrayLike, windows: Windows) -> Array:
+        checked = self.space.check(xi)
         if (windows.nq, windows.nv) != (self.states.nq, self.states.nv):
             raise BadInput(
                 f"the windows have nq={windows.nq}, nv={windows.nv}, the simulator nq={self.states.nq}, "
@@ -124,7 +124,7 @@ class Simulator(ABC):
                 f"effects of this simulator look {self.memory_time:g} s back: cut the windows with history={needed}, "
                 f"they have {windows.history.shape[1]}"
             )
-        return xi
+        return checked
 
 
 def squared_error(states: StateSpace, predicted: Array, measured: Array, scale: Array) -> Array:

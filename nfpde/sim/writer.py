@@ -108,7 +108,7 @@ class ModelWriter:
             else:
                 set_field(model, p.field, new)
             if p.field == "body_mass" and p.scale_inertia:
-                ratio = new / slot.nominal
+                ratio = np.full_like(new, value) if p.relative else new / slot.nominal
                 model.body_inertia[slot.index] = self.nominal.body_inertia[slot.index] * ratio[:, None]
         for e, columns in self._effects:
             e.write_model(model, np.asarray(xi[columns]))
