@@ -1,0 +1,244 @@
+"""A parameter space at work inside a running Gymnasium environment: model fields, and effects at every physics step."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects import Effect, World
+from nfpde.effects.effect import overrides
+from nfpde.errors import BadEffect, BadInput, NfpdeError
+from nfpde.parameters import ParameterSpace
+from nfpde.sim import MujocoSimulator
+from nfpde.sim.writer import get_field, set_field
+
+Array = NDArray[np.float64]
+
+_FATAL = [
+    int(w)
+    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
+_ROW = np.zeros(1, np.intp)
+
+
+class PhysicsDiverged(Exception):
+    """Ends the environment's step from inside; `RandomizedParameters` catches it."""
+
+
+class LivePhysics:
+    """Replaces the physics of one environment by that of `MujocoSimulator` with the same parameters.
+
+    The environment's own model and data stay in use. Its solver settings become those of `nfpde.sim.load_model`, so
+    that a policy trains in the simulation whose parameters were estimated. Effects act where they do in
+    `MujocoSimulator`: model fields once per vector, commands and forces at every physics step, sensors on what
+    `_get_obs` sees (rewards and terminations see the true state).
+
+    Args:
+        env: the bare environment, `env.unwrapped`.
+        space: the parameters, those of effects last.
+
+    Raises:
+        BadInput: no MuJoCo environment, or one that is wrapped already.
+        BadParameter, BadEffect: the model lacks an element of the space, or an effect cannot act in this environment.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], space: ParameterSpace) -> None:
+        self.env: Any = env
+        self.space = space
+        self.label = _label(env)
+        _check_environment(self.env, self.label)
+        try:
+            self._simulator = MujocoSimulator(self.env.model, space, nthread=1, check_influence=False)
+        except NfpdeError as error:
+            raise type(error)(f"environment {self.label}: {error}") from None
+        nominal = self._simulator.model
+        self.env.model.opt.solver = nominal.opt.solver
+        self.env.model.opt.disableflags = nominal.opt.disableflags
+        column = self._simulator.writer.nbase
+        self._columns: list[tuple[Effect, slice]] = []
+        for e in self._simulator.effects:
+            self._columns.append((e, slice(column, column + len(e.parameters))))
+            column += len(e.parameters)
+        self._step_fields = sorted({f for e, _ in self._columns if overrides(e, "step") for f in e.step_fields})
+        # delays of several effects in a row add up
+        memory = sum(e.memory_time() for e, _ in self._columns if overrides(e, "command"))
+        self._memory_steps = math.ceil(memory / nominal.opt.timestep - 1e-9) + 1 if memory > 0 else 0
+        self._past: Array | None = None
+        self._on_command: list[tuple[Effect, Array]] = []
+        self._on_step: list[tuple[Effect, Array]] = []
+        self._on_sensor: list[tuple[Effect, Array]] = []
+        self._world: World | None = None
+        self._own: dict[str, Array] = {}
+        self.observations = 0
+        self._install()
+
+    @property
+    def nominal_model(self) -> mujoco.MjModel:
+        """The environment's model before any parameter was written, as `load_model` prepares it."""
+        return self._simulator.model
+
+    def write(self, xi: Array | None) -> None:
+        """Give the model the parameters xi (D,), or its nominal ones (None); to be called before the inner reset."""
+        model, writer = self.env.model, self._simulator.writer
+        for name in {*self._step_fields, *writer.fields}:
+            set_field(model, name, get_field(writer.nominal, name))
+        if xi is None:
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+        else:
+            writer.write(model, xi)
+        values = [] if xi is None else [(e, xi[None, columns]) for e, columns in self._columns]
+        acting = [(e, v) for e, v in values if e.active(v)[0]]
+        self._on_command = [(e, v) for e, v in acting if overrides(e, "command")]
+        self._on_step = [(e, v) for e, v in acting if overrides(e, "step")]
+        self._on_sensor = [(e, v[0]) for e, v in values if overrides(e, "to_measured")]
+        self._own = {f: np.array(get_field(model, f)) for f in self._step_fields}
+
+    def start(self) -> None:
+        """Forget what effects and solver remember of the last episode; to be called after the inner reset."""
+        data = self.env.data
+        data.qacc_warmstart[:] = 0.0
+        data.qfrc_applied[:] = 0.0
+        self._past = None
+        self._world = World(
+            self.env.model,
+            data.qpos[None],
+            data.qvel[None],
+            data.ctrl[None],
+            data.qfrc_applied[None],
+            fields={f: v[None].copy() for f, v in self._own.items()},
+        )
+
+    def release(self) -> None:
+        """Give the environment its own methods back and its model the nominal parameters."""
+        self.write(None)
+        for name in ("do_simulation", "_get_obs"):
+            vars(self.env).pop(name, None)
+
+    def _install(self) -> None:
+        self._own_simulation = self.env.do_simulation
+        self.env.do_simulation = self._simulate
+        if any(overrides(e, "command") or overrides(e, "step") for e, _ in self._columns):
+            self._check_stepping()
+        if any(overrides(e, "to_measured") for e, _ in self._columns):
+            self._check_observation()
+            self._own_observation = self.env._get_obs
+            self.env._get_obs = self._observe
+
+    def _simulate(self, ctrl: Any, n_frames: int) -> None:
+        data = self.env.data
+        before = data.warning.number[_FATAL].sum()
+        if self._on_command or self._on_step:
+            self._substeps(np.asarray(ctrl, dtype=np.float64), n_frames)
+        else:
+            self._own_simulation(ctrl, n_frames)
+        if data.warning.number[_FATAL].sum() > before or not np.isfinite(data.qvel).all():
+            raise PhysicsDiverged
+
+    def _substeps(self, ctrl: Array, n_frames: int) -> None:
+        env, world = self.env, self._world
+        if ctrl.shape != (env.model.nu,):
+            raise BadInput(f"environment {self.label}: an action has shape ({env.model.nu},), got {ctrl.shape}")
+        if world is None:
+            raise BadInput(f"environment {self.label}: call reset() before step()")
+        for command in self._commands(ctrl, n_frames):
+            env.data.ctrl[:] = command
+            self._act(world)
+            mujoco.mj_step(env.model, env.data)
+        env.data.ctrl[:] = ctrl  # what the policy asked for is what a control cost charges
+        mujoco.mj_rnePostConstraint(env.model, env.data)
+
+    def _commands(self, ctrl: Array, n_frames: int) -> Array:
+        """Commands of the next physics steps after the effects on them, (n_frames, nu)."""
+        new = np.tile(ctrl, (n_frames, 1))
+        if self._past is None:  # before the first command nothing is known: it holds, as in recordings
+            self._past = np.tile(ctrl, (self._memory_steps, 1))
+        signal = np.concatenate([self._past, new])[None]
+        self._past = signal[0, len(new) :].copy()
+        for e, values in self._on_command:
+            signal = e.command(signal, values, self._simulator.model.opt.timestep)
+        return signal[0, -n_frames:]
+
+    def _act(self, world: World) -> None:
+        for name, own in self._own.items():
+            world.fields[name][0] = own
+        world.qfrc_applied[...] = 0.0
+        for e, values in self._on_step:
+            e.step(world, _ROW, values)
+        for name, field in world.fields.items():
+            set_field(self.env.model, name, field[0])
+
+    def _observe(self) -> Any:
+        """The environment's observation, computed from the measured state."""
+        self.observations += 1
+        data, nq = self.env.data, self.env.model.nq
+        true = np.concatenate([data.qpos, data.qvel])
+        measured = true
+        for e, values in reversed(self._on_sensor):
+            measured = e.to_measured(measured, values)
+        try:
+            data.qpos[:], data.qvel[:] = measured[:nq], measured[nq:]
+            return self._own_observation()
+        finally:
+            data.qpos[:], data.qvel[:] = true[:nq], true[nq:]
+
+    def _check_stepping(self) -> None:
+        base = _mujoco_env()
+        for name in ("do_simulation", "_step_mujoco_simulation"):
+            if getattr(type(self.env), name) is not getattr(base, name):
+                self._refuse(f"its class has its own {name}, so effects on commands and forces cannot act in it")
+
+    def _check_observation(self) -> None:
+        """Sensor effects need observations that are a function of qpos and qvel alone; find out by trying."""
+        if not callable(getattr(self.env, "_get_obs", None)):
+            self._refuse("it has no method _get_obs, so effects on sensors cannot act in it")
+        data, model = self.env.data, self.env.model
+        saved = np.concatenate([data.qpos, data.qvel])
+        first = np.array(self.env._get_obs(), dtype=np.float64)
+        rng = np.random.default_rng(0)
+        other = model.qpos0.copy()
+        mujoco.mj_integratePos(model, other, rng.normal(size=model.nv), 1.0)
+        data.qpos[:], data.qvel[:] = other, rng.normal(size=model.nv)
+        data.ctrl[:] = rng.normal(size=model.nu)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_rnePostConstraint(model, data)
+        data.qpos[:], data.qvel[:] = saved[: model.nq], saved[model.nq :]
+        second = np.array(self.env._get_obs(), dtype=np.float64)
+        data.ctrl[:] = 0.0
+        mujoco.mj_forward(model, data)
+        if first.shape != second.shape or not np.array_equal(first, second):
+            self._refuse(
+                "its observation holds more than qpos and qvel (forces, inertias, positions of sites ...), which no "
+                "sensor effect describes; switch those parts of the observation off"
+            )
+
+    def _refuse(self, reason: str) -> None:
+        names = ", ".join(sorted({e.name for e, _ in self._columns}))
+        vars(self.env).pop("do_simulation", None)
+        raise BadEffect(f"environment {self.label}: {reason}. Effects of the space: {names}")
+
+
+def _mujoco_env() -> type:
+    from gymnasium.envs.mujoco import MujocoEnv  # loads the renderers
+
+    return MujocoEnv
+
+
+def _label(env: Any) -> str:
+    return env.spec.id if getattr(env, "spec", None) is not None else type(env).__name__
+
+
+def _check_environment(env: Any, label: str) -> None:
+    if not isinstance(env, _mujoco_env()):
+        raise BadInput(
+            f"environment {label} is a {type(env).__name__}, no gymnasium.envs.mujoco.MujocoEnv: it has no MuJoCo "
+            "model into which parameters could be written"
+        )
+    if "do_simulation" in vars(env):
+        raise BadInput(
+            f"environment {label} is under RandomizedParameters already; make another one, or release() the first"
+        )

@@ -1,0 +1,119 @@
+"""Train a policy on parameters drawn from a distribution, and see what it is worth in the target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from nfpde.errors import BadInput
+from nfpde.parameters import ParameterSpace
+from nfpde.rl.history import TrainResult, write_json
+from nfpde.rl.learner import SacConfig
+from nfpde.rl.plot import plot_returns
+from nfpde.rl.randomize import Draws, check_source
+from nfpde.rl.tasks import Environment
+from nfpde.rl.training import Job, Training
+from nfpde.truth import Truth
+
+
+def train_sac(
+    env: Environment,
+    distribution: Draws | ArrayLike | None,
+    *,
+    steps: int,
+    out: Path | str,
+    seed: int = 0,
+    target: Truth | ArrayLike | None = None,
+    space: ParameterSpace | None = None,
+    evaluation_every: int = 5000,
+    evaluation_episodes: int = 20,
+    hyperparameters: SacConfig | None = None,
+    nominal_baseline: bool = False,
+    model: Path | str | None = None,
+    device: str = "auto",
+    threads: int = 1,
+    quiet: bool = False,
+) -> TrainResult:
+    """Train soft actor-critic on a robot whose parameters are drawn anew for every episode.
+
+    Training goes in rounds of `evaluation_every` control steps. After each round the policy is evaluated, without
+    exploration, on parameters from the distribution and on the target's; then everything is saved. The same call
+    goes on with what it finds in `out`: after a kill or Ctrl-C from the last round, and with more `steps` beyond the
+    end. On the same machine, device and number of threads, a training that was interrupted ends in the same weights
+    to the last bit as one that was not. (Going on beyond the end does so where the old `steps` was a multiple of
+    `evaluation_every`.) A round begins with a fresh episode; one under way at its end is cut and not counted.
+
+    `out` then holds `policy.safetensors` and `policy.json` (read by `load_policy`), `train.json` (settings and all
+    returns), `returns.png`, the state to go on from (`state.safetensors`, `state.json`, `replay/`), and with
+    `nominal_baseline` the same in `nominal/`.
+
+    Args:
+        env: short name, Gymnasium id or maker of a MuJoCo environment, see `make_environment`.
+        distribution: what parameters are drawn from, for example a fitted `ParameterDistribution`; or vectors (n, D)
+            or one vector (D,) with `space`; or None for the nominal model, no randomization.
+        steps: control steps in all.
+        out: folder for the results.
+        seed: of everything random.
+        target: parameters of the real robots: a `Truth`, or vectors (n, D) of the distribution's space; episodes
+            take them in turn. None evaluates on the distribution only.
+        space: what vectors mean, where `distribution` is not one that knows.
+        evaluation_every: control steps of a round, at least those of an episode.
+        evaluation_episodes: episodes of each evaluation, at least 2.
+        hyperparameters: of SAC; None for the defaults.
+        nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both.
+        model: MJCF file in place of the environment's own.
+        device: for the networks: `cpu`, `cuda`, or `auto` for CUDA where there is one.
+        threads: torch's, while training. These networks are so small that more threads rarely pay, and on a busy
+            machine they cost dearly.
+        quiet: show no progress.
+
+    Raises:
+        BadInput, BadParameter, BadEffect, BadModel: what cannot be used, and why.
+        CheckpointMismatch: `out` holds another training; names the differences.
+        SimulationDiverged: more than a tenth of a round's episodes blew up.
+
+    Example:
+        A policy for a pendulum whose mass and damping were estimated::
+
+            fitted = nfpde.ParameterDistribution.load("fit")
+            result = train_sac("pendulum", fitted, steps=10_000, out="policy", target=[[1.1, 0.08]])
+            print(result.summary())
+            torque = load_policy("policy").predict(observation)
+    """
+    truth, vectors = (target.space, target.xi) if isinstance(target, Truth) else (None, target)
+    if isinstance(vectors, Draws):
+        raise BadInput("target takes vectors (n, D) or a Truth, the robots the policy is for, not a distribution")
+    source, space = check_source(distribution, truth if distribution is None and space is None else space)
+    vectors, target_space = check_source(vectors, truth or space)
+    for name, value, least in (
+        ("steps", steps, 1),
+        ("seed", seed, 0),
+        ("evaluation_every", evaluation_every, 1),
+        ("evaluation_episodes", evaluation_episodes, 2),
+        ("threads", threads, 1),
+    ):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise BadInput(f"{name} is {value!r}; it must be a whole number, at least {least}")
+    job = Job(
+        env=env,
+        model=None if model is None else Path(model),
+        steps=steps,
+        seed=seed,
+        target=vectors,
+        target_space=target_space,
+        evaluation_every=evaluation_every,
+        evaluation_episodes=evaluation_episodes,
+        config=hyperparameters or SacConfig(),
+        device=device,
+        threads=threads,
+        quiet=quiet,
+    )
+    out = Path(out)
+    result = Training(job, source, space, out, "Training").run()
+    if nominal_baseline:
+        nominal = Training(job, None, space, out / "nominal", "Training on the nominal model").run()
+        result = result.with_baseline(nominal)
+        write_json(result)
+    plot_returns(result, out / "returns.png")
+    return result

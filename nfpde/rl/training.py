@@ -1,0 +1,210 @@
+"""One training in one folder: rounds of learning, an evaluation and a checkpoint after each."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.checkpoint import load_state, save_state
+from nfpde.errors import BadInput, SimulationDiverged
+from nfpde.parameters import ParameterSpace
+from nfpde.progress import Report, progress
+from nfpde.rl.evaluate import evaluate_policy
+from nfpde.rl.history import Point, Score, TrainResult, write_json
+from nfpde.rl.learner import SacConfig, SacLearner, isolated_randomness, round_seed
+from nfpde.rl.randomize import Draws, RandomizedParameters
+from nfpde.rl.replay import ReplayFiles
+from nfpde.rl.tasks import Environment, make_environment
+from nfpde.sim import model_hash
+
+MOST_DIVERGED = 0.1
+"""Share of a round's episodes that may diverge before training stops."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done; see `train_sac` for each."""
+
+    env: Environment
+    model: Path | None
+    steps: int
+    seed: int
+    target: NDArray[np.float64] | None
+    target_space: ParameterSpace
+    evaluation_every: int
+    evaluation_episodes: int
+    config: SacConfig
+    device: str
+    threads: int
+    quiet: bool
+
+
+class Training:
+    """Trains one policy, going on with what its folder holds.
+
+    Args:
+        job: what is to be done.
+        source: parameters of the training's episodes: a distribution, vectors (n, D) or None.
+        space: what they mean.
+        out: the folder.
+        title: shown with the progress.
+    """
+
+    def __init__(self, job: Job, source: Any, space: ParameterSpace, out: Path, title: str) -> None:
+        self.job = job
+        self.source = source
+        self.space = space
+        self.out = out
+        self.title = title
+        self.replay = ReplayFiles(out / "replay")
+        self.points: list[Point] = []
+        self.seconds = 0.0
+
+    def run(self) -> TrainResult:
+        """Train up to the job's number of steps.
+
+        Raises:
+            CheckpointMismatch: the folder holds another training.
+            SimulationDiverged: more than a tenth of a round's episodes blew up.
+        """
+        with isolated_randomness(self.job.threads), self._environments():
+            self._begin()
+            started = time.monotonic() - self.seconds
+            with progress(self.title, self.job.steps, start=self.learner.steps, quiet=self.job.quiet) as report:
+                try:
+                    while self.learner.steps < self.job.steps:
+                        self._round(report, started)
+                except KeyboardInterrupt:
+                    raise KeyboardInterrupt(
+                        f"training stopped; {self.out} holds the state after {self.points[-1].step} control steps, "
+                        "from which the same call goes on"
+                    ) from None
+            self.policy.save(self.out)
+            result = self._result()
+            write_json(result)
+            return result
+
+    @contextmanager
+    def _environments(self) -> Iterator[None]:
+        job = self.job
+        self.target: RandomizedParameters | None = None
+        self.training = RandomizedParameters(make_environment(job.env, job.model), self.source, self.space)
+        try:
+            if job.target is not None:
+                self.target = RandomizedParameters(make_environment(job.env, job.model), job.target, job.target_space)
+            yield
+        finally:
+            self.training.close()
+            if self.target is not None:
+                self.target.close()
+
+    def _begin(self) -> None:
+        job = self.job
+        self.label = self.training.label
+        longest = self.training.spec.max_episode_steps if self.training.spec is not None else None
+        if longest is not None and job.evaluation_every < longest:
+            raise BadInput(
+                f"evaluation_every is {job.evaluation_every}; it must be at least an episode of {self.label}, "
+                f"{longest} control steps: a round begins with a fresh episode"
+            )
+        self.identity = self._identity()
+        saved = load_state(self.out, self.identity)
+        self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
+        if saved is None:
+            self.policy = self.learner.policy(self.label)
+            self.points = [self._judge([], 0)]
+            return
+        tensors, info = saved
+        self.points = [Point.from_json(p) for p in info["points"]]
+        if self.points[-1].step > job.steps:
+            raise BadInput(
+                f"{self.out} holds a training of {self.points[-1].step} control steps already, more than the "
+                f"{job.steps} asked for"
+            )
+        self.seconds = info["seconds"]
+        self.learner.restore(info["learner"], tensors, self.replay)
+        self.policy = self.learner.policy(self.label)
+
+    def _round(self, report: Report, started: float) -> None:
+        job, learner = self.job, self.learner
+        shown = {} if self.points[-1].target is None else {"target": str(self.points[-1].target)}
+        first, diverged = learner.steps, self.training.diverged_episodes
+        returns = learner.run_round(
+            min(job.evaluation_every, job.steps - first),
+            round_seed(job.seed, len(self.points)),
+            lambda step, figures: report(step, **figures, **shown),
+        )
+        diverged = self.training.diverged_episodes - diverged
+        if diverged > MOST_DIVERGED * max(len(returns), 10):
+            raise SimulationDiverged(
+                f"the simulation diverged in {diverged} of the {len(returns)} episodes up to control step "
+                f"{learner.steps}: use a smaller timestep in the model, or tighter bounds. {self.out} holds the state "
+                "before"
+            )
+        self.policy = learner.policy(self.label)
+        self.points.append(self._judge(returns, diverged))
+        self.seconds = time.monotonic() - started
+        self.replay.add(learner.buffer, first, learner.steps)
+        tensors, layout = learner.state()
+        points = [asdict(p) for p in self.points]
+        save_state(
+            self.out, tensors, {"run": self.identity, "learner": layout, "points": points, "seconds": self.seconds}
+        )
+        self.replay.clean(learner.buffer.buffer_size, learner.steps)
+        self.policy.save(self.out)
+        write_json(self._result())
+
+    def _judge(self, returns: list[float], diverged: int) -> Point:
+        """Evaluate the policy where it trains and in the target."""
+        return Point(
+            step=self.learner.steps,
+            exploring=float(np.mean(returns)) if returns else None,
+            episodes=len(returns),
+            diverged=diverged,
+            training=self._score(self.training),
+            target=None if self.target is None else self._score(self.target),
+        )
+
+    def _score(self, env: RandomizedParameters) -> Score:
+        episodes = self.job.evaluation_episodes
+        try:
+            found = evaluate_policy(self.policy, env, episodes=episodes, seed=self.job.seed)
+        except SimulationDiverged as error:
+            return Score(None, None, episodes, str(error))
+        return Score(found.mean, found.standard_error, episodes)
+
+    def _result(self) -> TrainResult:
+        return TrainResult(self.out, self.identity, tuple(self.points), self.policy, self.seconds)
+
+    def _identity(self) -> dict[str, Any]:
+        """What must be the same for a training to go on."""
+        job = self.job
+        return {
+            "schema_version": 1,
+            "environment": self.label,
+            "model": model_hash(self.training.nominal_model),
+            "space": self.space.to_json(),
+            "parameters": _digest(self.source),
+            "target": None if job.target is None else {**job.target_space.to_json(), "xi": job.target.tolist()},
+            "seed": job.seed,
+            "evaluation_every": job.evaluation_every,
+            "evaluation_episodes": job.evaluation_episodes,
+            "hyperparameters": asdict(job.config),
+        }
+
+
+def _digest(source: Any) -> str:
+    """Fingerprint of what parameters are drawn from."""
+    if source is None:
+        return "nominal"
+    values = source.sample(64, seed=0) if isinstance(source, Draws) else source
+    text = " ".join(f"{v:.6e}" for v in np.asarray(values).ravel())
+    return hashlib.sha256(text.encode()).hexdigest()
