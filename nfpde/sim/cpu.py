@@ -12,11 +12,12 @@ import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.dataset import Windows
+from nfpde.dataset import Dataset, Windows
 from nfpde.effects import Effect, effects_in
 from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import BoundEffects
+from nfpde.sim.matching import match_dataset
 from nfpde.sim.model import load_model, model_hash
 from nfpde.sim.probe import refuse_inert
 from nfpde.sim.quiet import quiet_mujoco
@@ -83,6 +84,15 @@ class MujocoSimulator(Simulator):
                 out[part] = self._simulate(xi[vector[part]], fields, vector[part], windows, window[part], nsub)
         self.simulated_steps += len(vector) * windows.horizon * nsub
         return out
+
+    def prepare(self, dataset: Dataset) -> Dataset:
+        """The data set with its columns in the model's order; see `Simulator.prepare`."""
+        return match_dataset(self.model, self.states, dataset)
+
+    def nominal(self) -> Array:
+        """The model's own parameters, and neutral ones of the effects, (D,); NaN where elements differ."""
+        neutral = [q.neutral for e in self.effects for q in e.quantities]
+        return np.concatenate([self.writer.nominal_values(), neutral])
 
     def identity(self) -> dict[str, Any]:
         """The model's fingerprint and MuJoCo's version; the effects are in the space."""

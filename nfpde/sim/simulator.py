@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nfpde.dataset import Windows
-from nfpde.errors import BadInput
+from nfpde.dataset import Dataset, Windows
+from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.states import StateSpace
 
@@ -102,6 +102,19 @@ class Simulator(ABC):
             predicted = self.rollout(xi[vectors], windows, vector - vectors.start, window)
             out[rows] = squared_error(self.states, predicted, windows.target[window], scale)
         return out.reshape(m, n)
+
+    def prepare(self, dataset: Dataset) -> Dataset:
+        """Check that recordings fit this simulator; returns them, with columns reordered where they are named.
+
+        Raises:
+            BadDataset: they do not fit; the text says what the simulator has.
+        """
+        if (dataset.nq, dataset.nv) != (self.states.nq, self.states.nv):
+            raise BadDataset(
+                f"the data has nq={dataset.nq}, nv={dataset.nv}, the simulator nq={self.states.nq}, "
+                f"nv={self.states.nv}: {', '.join(self.states.channels)}"
+            )
+        return dataset
 
     def identity(self) -> dict[str, Any]:
         """What tells this simulator from another one, as JSON; a resumed run must find the same."""

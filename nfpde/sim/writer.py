@@ -99,6 +99,14 @@ class ModelWriter:
                 array[m] = get_field(self._scratch, name)
         return out
 
+    def nominal_values(self) -> Array:
+        """The model's own value of every parameter that is a model field; NaN where its elements differ."""
+        values = []
+        for slot in self._slots:
+            own = np.unique(np.ones_like(slot.nominal) if slot.parameter.relative else slot.nominal)
+            values.append(float(own[0]) if own.size == 1 else np.nan)
+        return np.array(values)
+
     def _write(self, model: mujoco.MjModel, xi: Array) -> None:
         for slot, value in zip(self._slots, xi[: self.nbase], strict=True):
             p = slot.parameter

@@ -1,0 +1,59 @@
+"""Settings of the estimators; the command line is made from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from nfpde.errors import BadInput
+
+
+def setting(default: Any, text: str, least: float | None = None) -> Any:
+    """A dataclass field with its help text and smallest allowed value."""
+    return field(default=default, metadata={"help": text, "least": least})
+
+
+@dataclass(frozen=True)
+class NfpdeConfig:
+    """Settings of NFPDE (Takano et al., IROS 2024, Algorithm 1).
+
+    Raises:
+        BadInput: a value below its least.
+    """
+
+    iterations: int = setting(60, "times that samples are drawn, simulated and learned from", 1)
+    samples: int = setting(400, "parameter vectors drawn in an iteration (the paper's M)", 2)
+    transitions: int = setting(128, "transitions compared in an iteration (a minibatch of the paper's N)", 1)
+    horizon: int = setting(1, "control steps predicted open loop before comparing", 1)
+    beta: float | None = setting(None, "temperature of the softmax candidate; by default found from the data", 1e-300)
+    least_effective: float = setting(20.0, "effective samples that the temperature leaves, where it is found", 1.0)
+    scale: Literal["increment", "unit"] = setting(
+        "increment", "errors counted in root-mean-square changes of each channel, or in the model's units (Eq. 9)"
+    )
+    clip: float | None = setting(0.2, "clipping range of the probability ratio, as in PPO; none: plain Eq. 8", 0.0)
+    gradient_steps: int = setting(10, "Adam steps on the samples of an iteration", 1)
+    learning_rate: float = setting(5e-4, "of Adam, at the start; it falls linearly to a tenth", 0.0)
+    flow: Literal["auto", "realnvp", "nsf", "maf"] = setting("auto", "kind of normalizing flow (auto: Real NVP)")
+    transforms: int = setting(6, "layers of the flow", 1)
+    hidden: int = setting(64, "width of the two hidden layers of every transform", 1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def check_settings(config: Any) -> None:
+    """Refuse values of a settings dataclass below their least.
+
+    Raises:
+        BadInput: naming the setting, the value and the least.
+    """
+    for f in fields(config):
+        value, least = getattr(config, f.name), f.metadata.get("least")
+        if value is None or least is None:
+            continue
+        wrong = isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < float("inf")
+        if wrong or (f.type == "int" and not isinstance(value, int)):
+            raise BadInput(
+                f"{f.name} is {value!r}; it must be a{'n integer' if f.type == 'int' else ' number'} of at "
+                f"least {least:g} ({f.metadata['help']})"
+            )

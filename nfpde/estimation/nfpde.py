@@ -1,0 +1,118 @@
+"""NFPDE, Algorithm 1: a normalizing flow over the parameters, learned from single transitions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nfpde.checkpoint import flatten_state, restore_state
+from nfpde.estimation.candidates import cai, effective_samples, next_beta, softmax
+from nfpde.estimation.config import NfpdeConfig
+from nfpde.flow import Flow, build_flow
+from nfpde.parameters import ParameterSpace
+
+Array = NDArray[np.float64]
+
+LossFunction = Callable[[Array, NDArray[np.intp]], Array]
+"""Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,)."""
+
+
+@dataclass
+class NfpdeTrainer:
+    """One run of Algorithm 1; `step` is one iteration of it.
+
+    It knows a loss function and not a simulator. After `restore(state())` it goes on to the same numbers.
+
+    Args:
+        losses: see `LossFunction`.
+        count: number of transitions N.
+        channels: numbers compared in one loss.
+        space: the parameters.
+        candidate: Eq. 10 or Eq. 11.
+        config: settings.
+        seed: of samples, minibatches and first weights.
+    """
+
+    losses: LossFunction
+    count: int
+    channels: int
+    space: ParameterSpace
+    candidate: Literal["softmax", "cai"]
+    config: NfpdeConfig
+    seed: int
+    iteration: int = 0
+    beta: float | None = None
+    history: list[dict[str, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        c = self.config
+        self.flow: Flow = build_flow(
+            len(self.space), c.flow, hidden_features=(c.hidden, c.hidden), transforms=c.transforms, seed=self.seed
+        )
+        self.optimizer = torch.optim.Adam(self.flow.parameters(), lr=c.learning_rate)
+        self.generator = torch.Generator().manual_seed(self.seed)
+        self.rng = np.random.default_rng(self.seed)
+
+    def step(self) -> dict[str, float]:
+        """Draw, simulate, learn; returns the figures of the iteration, which are also added to `history`."""
+        started = time.perf_counter()
+        z = self.flow.sample(self.config.samples, self.generator)
+        batch = self.rng.permutation(self.count)[: self.config.transitions]
+        losses = self.losses(self.space.to_physical(z.numpy()), batch)
+        if self.candidate == "softmax":
+            self.beta = self.config.beta or next_beta(losses, self.beta, self.channels, self.config.least_effective)
+            values = softmax(losses, self.beta)
+            explained = float((values * losses).sum(0).mean())
+            figures = {"beta": self.beta, "effective": float(np.median(effective_samples(values)))}
+            weight = values.mean(1)
+        else:
+            values = cai(losses)
+            explained = -float(values.mean())
+            figures = {}
+            weight = values.mean(1) / len(values)
+        self._ascend(z, torch.from_numpy(weight))
+        self.iteration += 1
+        seconds = time.perf_counter() - started
+        self.history.append({"iteration": self.iteration, "loss": explained, **figures, "seconds": seconds})
+        return self.history[-1]
+
+    def _ascend(self, z: Tensor, weight: Tensor) -> None:
+        """Adam on the surrogate of Eq. 8: sum over samples of ratio x weight, with PPO's pessimistic clipping."""
+        c = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = c.learning_rate * (1 - 0.9 * min(1.0, self.iteration / c.iterations))
+        with torch.no_grad():
+            old = self.flow.log_prob(z)
+        for _ in range(c.gradient_steps):
+            ratio = torch.exp(self.flow.log_prob(z) - old)
+            gain = ratio * weight
+            if c.clip is not None:
+                gain = torch.minimum(gain, ratio.clamp(1 - c.clip, 1 + c.clip) * weight)
+            self.optimizer.zero_grad()
+            (-gain.sum()).backward()
+            self.optimizer.step()
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Everything the next iteration depends on, as tensors and JSON."""
+        tensors, layout = flatten_state("optimizer", self.optimizer.state_dict())
+        tensors |= {f"flow.{k}": v.clone() for k, v in self.flow.state_dict().items()}
+        tensors["generator"] = self.generator.get_state()
+        _, rng = flatten_state("rng", self.rng.bit_generator.state)
+        info = {"iteration": self.iteration, "beta": self.beta, "history": list(self.history)}
+        return tensors, info | {"optimizer": layout, "rng": rng}
+
+    def restore(self, tensors: dict[str, Tensor], info: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        prefix = "flow."
+        self.flow.load_state_dict({k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)})
+        self.optimizer.load_state_dict(restore_state(info["optimizer"], tensors))
+        self.generator.set_state(tensors["generator"])
+        self.rng.bit_generator.state = restore_state(info["rng"], {})
+        self.iteration, self.beta, self.history = info["iteration"], info["beta"], info["history"]

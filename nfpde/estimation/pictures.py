@@ -1,0 +1,51 @@
+"""Pictures of a fit: the distribution, and how the fit went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from nfpde.corner import corner
+from nfpde.estimation.fit import FitResult
+
+_PANELS = {
+    "loss": "squared error of the samples that explain the data",
+    "beta": "temperature beta",
+    "effective": "effective samples per transition",
+}
+
+
+def draw_fit(result: FitResult, folder: str | Path, nominal: ArrayLike | None = None) -> dict[Path, str]:
+    """Write corner.png and progress.png into a folder; returns what each picture shows.
+
+    Args:
+        result: of `fit`.
+        folder: where to.
+        nominal: the model's own parameters, (D,), drawn as dashed lines.
+    """
+    folder = Path(folder)
+    return {
+        corner(
+            result.distribution, folder / "corner.png", nominal=nominal
+        ): "the fitted distribution within its bounds",
+        _draw_history(result, folder / "progress.png"): "how the fit went: a loss that no longer falls has converged",
+    }
+
+
+def _draw_history(result: FitResult, path: Path) -> Path:
+    steps = [row["iteration"] for row in result.history]
+    panels = {k: v for k, v in _PANELS.items() if k in result.history[-1]}
+    figure = Figure(figsize=(7.0, 2.0 * len(panels) + 0.6), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, (key, text) in zip(axes, panels.items(), strict=True):
+        ax.plot(steps, [row[key] for row in result.history], color="#0072B2", lw=1.5)
+        ax.set_title(text, fontsize=10, loc="left")
+        if key != "effective":
+            ax.set_yscale("log")
+        ax.grid(alpha=0.3)
+        ax.spines[["top", "right"]].set_visible(False)
+    axes[-1].set_xlabel("iteration")
+    figure.savefig(path, dpi=150)
+    return path

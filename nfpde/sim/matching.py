@@ -1,0 +1,39 @@
+"""Whether recordings fit a model, and their columns in the model's order."""
+
+from __future__ import annotations
+
+import mujoco
+
+from nfpde.dataset import Dataset, expand_names
+from nfpde.dataset import check_against_model as check
+from nfpde.elements import element_names
+from nfpde.sim.states import StateSpace
+
+_WIDTH_QPOS = {0: 7, 1: 4, 2: 1, 3: 1}
+_WIDTH_QVEL = {0: 6, 1: 3, 2: 1, 3: 1}
+
+
+def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -> Dataset:
+    """Check sizes, names, control step and quaternions of a data set against a model.
+
+    Returns:
+        The data set; with columns put in the model's order where it names them.
+
+    Raises:
+        BadDataset: what does not fit, and what the model has.
+    """
+    joints = element_names(model, "joint")
+    kinds = [int(k) for k in model.jnt_type]
+    return check(
+        dataset,
+        nq=model.nq,
+        nv=model.nv,
+        nu=model.nu,
+        timestep=float(model.opt.timestep),
+        quaternions=[q for q, _ in states.quaternions],
+        names={
+            "qpos": expand_names(joints, [_WIDTH_QPOS[k] for k in kinds]),
+            "qvel": expand_names(joints, [_WIDTH_QVEL[k] for k in kinds]),
+            "ctrl": element_names(model, "actuator"),
+        },
+    )
