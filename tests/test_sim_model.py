@@ -1,0 +1,80 @@
+"""Loading models."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.errors import BadModel
+from nfpde.sim import load_model, model_hash
+from tests.models import BLOCK, DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows, plain_rollout
+
+URDF = """
+<robot name="arm">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="1.5"/>
+    <inertia ixx="0.04" iyy="0.05" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("content", [PENDULUM, URDF])
+def test_files(tmp_path, content):
+    """MJCF and URDF, by path or by name."""
+    path = tmp_path / ("m.urdf" if content is URDF else "m.xml")
+    path.write_text(content)
+    assert load_model(path).nq == load_model(str(path)).nq == 1
+    assert load_model(path).body("rod").mass[0] == 1.5
+
+
+def test_missing_and_broken_files(tmp_path):
+    """The path, and MuJoCo's own message."""
+    with pytest.raises(BadModel, match=r"none\.xml: no such file"):
+        load_model(tmp_path / "none.xml")
+    (tmp_path / "b.xml").write_text(PENDULUM.replace('joint="hinge"', 'joint="hing"'))
+    with pytest.raises(BadModel, match=r"b\.xml: MuJoCo cannot compile it: (?s:.*)hing"):
+        load_model(tmp_path / "b.xml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('<motor name="motor"', '<general name="motor" dyntype="filter" dynprm="0.1"', "it has 1 actuator states"),
+        (
+            'gear="2"',
+            'gear="2" delay="0.01" nsample="4"',
+            "elements with a delay, whose buffers recordings do not hold",
+        ),
+        ('damping="0.1"', 'stiffness="1" springyield="0.1"', "springs that yield"),
+        ('timestep="0.002"/>', 'timestep="0.002"><flag sleep="enable"/></option>', "set <flag sleep='disable'/>"),
+        ('<joint name="hinge" axis="0 1 0" damping="0.1"/>', "", r"nothing moves in it \(no joint\)"),
+    ],
+)
+def test_states_that_recordings_lack_are_refused(old, new, text):
+    """Positions, velocities and commands have to determine what comes next."""
+    assert old in PENDULUM
+    xml = PENDULUM.replace(old, new)
+    if "joint" in old:
+        xml = xml.replace('<motor name="motor" joint="hinge" gear="2"/>', "")
+    with pytest.raises(BadModel, match=text):
+        load_model(load(xml))
+
+
+def test_loading_twice_changes_nothing():
+    """A loaded model is a fixed point, and its hash tells it from another."""
+    once = load_model(load(DOUBLE_PENDULUM))
+    assert model_hash(once) == model_hash(load_model(once)) == model_hash(load_model(load(DOUBLE_PENDULUM)))
+    other = load_model(load(DOUBLE_PENDULUM.replace('mass="0.7"', 'mass="0.7000001"')))
+    assert model_hash(other) != model_hash(once)
+
+
+@pytest.mark.parametrize("xml", [DOUBLE_PENDULUM, BLOCK, FREE_BOX])
+def test_loading_keeps_the_physics(xml):
+    """Without islands, and with recomputed constants, one tree moves as the raw model does."""
+    raw, loaded = load(xml), load_model(load(xml))
+    assert not raw.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    assert loaded.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    windows = make_windows(raw, 3, 50, spread=0.05)
+    for n in range(3):
+        a, b = (plain_rollout(m, windows.start[n], windows.ctrl[n], 1) for m in (raw, loaded))
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
