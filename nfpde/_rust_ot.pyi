@@ -1,0 +1,10 @@
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["solve_matrix", "solve_points"]
+
+_Floats = NDArray[np.float64]
+_Answer = tuple[float, NDArray[np.int64], NDArray[np.int64], _Floats, _Floats, _Floats, float]
+
+def solve_points(x: _Floats, y: _Floats, a: _Floats | None, b: _Floats | None, metric: str) -> _Answer: ...
+def solve_matrix(cost: _Floats, a: _Floats | None, b: _Floats | None) -> _Answer: ...

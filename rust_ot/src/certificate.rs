@@ -1,0 +1,60 @@
+//! The proof that a plan is optimal: feasible potentials, and the gap between the plan's cost and theirs.
+
+use crate::cost::Cost;
+use crate::error::OtError;
+use crate::masses::{Compensated, Masses};
+
+/// Potentials that satisfy `alpha[i] + beta[j] <= cost[i, j]` for every pair, in scaled units.
+#[derive(Clone, Debug)]
+pub struct Potentials {
+    /// One for each row.
+    pub alpha: Vec<f64>,
+    /// One for each column.
+    pub beta: Vec<f64>,
+}
+
+/// Makes potentials feasible over all pairs: `alpha[i]` becomes the least `cost[i, j] - beta[j]`.
+pub fn tighten(cost: &dyn Cost, beta: Vec<f64>) -> Potentials {
+    let mut row = vec![0.0; cost.cols()];
+    let alpha = (0..cost.rows())
+        .map(|i| {
+            cost.fill_row(i, &mut row);
+            row.iter().zip(&beta).fold(f64::INFINITY, |low, (c, b)| if c - b < low { c - b } else { low })
+        })
+        .collect();
+    Potentials { alpha, beta }
+}
+
+/// Largest gap that is rounding and no error: relative to the cost, and to the numbers the dual value is made of.
+const GAP_OF_COST: f64 = 1e-11;
+const GAP_OF_POTENTIALS: f64 = 1e-13;
+
+/// The primal value (scaled) minus the value of the potentials, for real weights.
+///
+/// # Errors
+/// `NotOptimal` when the gap is more than rounding.
+pub fn certify(
+    primal: f64,
+    potentials: &Potentials,
+    a: impl Iterator<Item = f64>,
+    b: impl Iterator<Item = f64>,
+    masses: &Masses,
+) -> Result<f64, OtError> {
+    let (mut dual, mut size) = (Compensated::default(), 0.0);
+    let cols = b.map(|weight| weight * masses.col_factor);
+    let terms = a.zip(&potentials.alpha).chain(cols.zip(&potentials.beta)).map(|(weight, p)| weight * p);
+    for term in terms {
+        dual.add(term);
+        size += term.abs();
+    }
+    let gap = primal - dual.value();
+    let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size;
+    if gap.abs() <= allowed {
+        return Ok(gap);
+    }
+    Err(OtError::NotOptimal(format!(
+        "the plan costs {primal} but the potentials prove only {} (in units of the largest cost): a gap of {gap:e} is \
+         more than rounding ({allowed:e}); rescale the points or merge near-duplicates",
+        dual.value()
+    )))
+}

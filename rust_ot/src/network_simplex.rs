@@ -1,0 +1,161 @@
+//! Network simplex over a full table of costs: the tree does the moves, whole blocks of rows are priced at once.
+
+use crate::error::OtError;
+use crate::tree::Tree;
+use crate::watch::Watch;
+
+/// How negative a reduced cost must be to count: more than rounding can make it.
+#[derive(Clone, Copy, Debug)]
+pub struct Tolerance {
+    floor: f64,
+    growth: f64,
+    pivots_left: u64,
+}
+
+impl Tolerance {
+    /// A tolerance of some dozen units in the last place of numbers as large as `size`.
+    #[must_use]
+    pub fn new(size: f64, nodes: usize) -> Self {
+        Self { floor: Self::SHARE * size, growth: 1.0, pivots_left: 200 * nodes as u64 + 10_000 }
+    }
+
+    const SHARE: f64 = 7.2e-15;
+
+    /// Takes over the size of the potentials after they were computed again.
+    pub fn adapt(&mut self, tree: &Tree) {
+        self.floor = Self::SHARE * self.growth * tree.typical_potential();
+    }
+
+    /// Counts a pivot. A search that goes on for very long is turning in rounding errors: it gets more tolerance, and
+    /// the certificate decides whether the outcome is good enough.
+    pub fn count_pivot(&mut self, tree: &Tree) {
+        self.pivots_left -= 1;
+        if self.pivots_left == 0 {
+            self.pivots_left = 20 * tree.pi.len() as u64 + 1_000;
+            self.growth *= 4.0;
+            self.adapt(tree);
+        }
+    }
+
+    /// Whether a reduced cost made of these three numbers is negative beyond rounding.
+    #[inline(always)]
+    #[must_use]
+    pub fn is_negative(&self, reduced: f64, cost: f64, u: f64, v: f64) -> bool {
+        reduced < -(self.floor + Self::SHARE * (cost.abs() + u.abs() + v.abs()))
+    }
+}
+
+/// A table of costs, row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Table<'a> {
+    /// The costs.
+    pub costs: &'a [f64],
+    /// Number of columns.
+    pub cols: usize,
+}
+
+/// Finds the optimal tree for the table; `big` bounds every absolute cost.
+///
+/// # Errors
+/// `Interrupted` or `NotOptimal`, from the watch.
+pub fn solve(table: Table<'_>, rows: &[i64], cols: &[i64], big: f64, watch: &mut Watch<'_>) -> Result<Tree, OtError> {
+    let mut tree = Tree::star(rows, cols, if big > 0.0 { 1.01 * big } else { 1.0 });
+    let mut tolerance = Tolerance::new(big, tree.pi.len());
+    watch.ask()?;
+    let block = ((2.0 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows.len());
+    let mut row = 0;
+    loop {
+        let mut clean = 0;
+        let mut pivots = 0u64;
+        while clean < rows.len() {
+            let end = (row + block).min(rows.len());
+            match price_rows(table, row..end, &tree, tolerance) {
+                Some((i, j, cost)) => {
+                    watch.step()?;
+                    tree.pivot(i, j, cost);
+                    tolerance.count_pivot(&tree);
+                    clean = 0;
+                    pivots += 1;
+                }
+                None => clean += end - row,
+            }
+            row = if end == rows.len() { 0 } else { end };
+        }
+        if pivots == 0 {
+            return Ok(tree);
+        }
+        tree.refresh_potentials();
+        tolerance.adapt(&tree);
+    }
+}
+
+/// The most negative arc of the rows, if it is negative beyond rounding.
+fn price_rows(
+    table: Table<'_>,
+    rows: std::ops::Range<usize>,
+    tree: &Tree,
+    tolerance: Tolerance,
+) -> Option<(usize, usize, f64)> {
+    let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());
+    let mut best = (0.0, usize::MAX, usize::MAX);
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for i in rows.clone() {
+                let (low, j) = row_minimum(&table.costs[i * table.cols..(i + 1) * table.cols], minus_v);
+                if low - u[i] < best.0 {
+                    best = (low - u[i], i, j);
+                }
+            }
+        },
+    );
+    let (reduced, i, j) = best;
+    if i == usize::MAX {
+        return None;
+    }
+    let cost = table.costs[i * table.cols + j];
+    if tolerance.is_negative(reduced, cost, u[i], minus_v[j]) {
+        return Some((i, j, cost));
+    }
+    // The lowest arc is rounding: look for another that is not.
+    for i in rows {
+        for (j, &cost) in table.costs[i * table.cols..(i + 1) * table.cols].iter().enumerate() {
+            if tolerance.is_negative(cost - u[i] + minus_v[j], cost, u[i], minus_v[j]) {
+                return Some((i, j, cost));
+            }
+        }
+    }
+    None
+}
+
+/// Least `cost + minus_v` of a row and its column.
+#[inline(always)]
+fn row_minimum(costs: &[f64], minus_v: &[f64]) -> (f64, usize) {
+    const WIDTH: usize = 64;
+    let mut best = f64::INFINITY;
+    let mut best_start = 0;
+    let mut start = 0;
+    let (cost_chunks, v_chunks) = (costs.chunks(WIDTH), minus_v.chunks(WIDTH));
+    for (c, v) in cost_chunks.zip(v_chunks) {
+        let mut lanes = [f64::INFINITY; 8];
+        for (c, v) in c.chunks_exact(8).zip(v.chunks_exact(8)) {
+            for lane in 0..8 {
+                let value = c[lane] + v[lane];
+                lanes[lane] = if value < lanes[lane] { value } else { lanes[lane] };
+            }
+        }
+        let done = c.len() / 8 * 8;
+        let mut low = lanes.iter().fold(f64::INFINITY, |a, &b| if b < a { b } else { a });
+        for (c, v) in c[done..].iter().zip(&v[done..]) {
+            low = if c + v < low { c + v } else { low };
+        }
+        if low < best {
+            best = low;
+            best_start = start;
+        }
+        start += WIDTH;
+    }
+    let end = (best_start + WIDTH).min(costs.len());
+    let place = (best_start..end).find(|&j| costs[j] + minus_v[j] <= best);
+    (best, place.unwrap_or(best_start))
+}

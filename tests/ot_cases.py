@@ -1,0 +1,62 @@
+"""Point sets, weights and the brute-force certificate shared by the tests of nfpde.ot."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from nfpde.ot import EmdResult
+
+#: Rounding of sums and of potentials along a tree: some hundred operations on numbers of the cost's size.
+ROUNDING = 1e-12
+
+
+def clouds(kind: str, n: int, m: int, d: int, seed: int = 0):
+    """Two point sets, (n, d) and (m, d)."""
+    rng = np.random.default_rng(seed)
+    if kind == "gauss":
+        return rng.normal(size=(n, d)), 0.5 + 1.2 * rng.normal(size=(m, d))
+    if kind == "lattice":
+        return rng.integers(0, 3, (n, d)).astype(float), rng.integers(0, 3, (m, d)).astype(float)
+    if kind == "duplicates":
+        return np.repeat(rng.normal(size=(-(-n // 10), d)), 10, axis=0)[:n], rng.normal(size=(m, d))
+    if kind == "far":
+        return rng.normal(size=(n, d)), 50 + rng.normal(size=(m, d))
+    centres, shift, spread = 3 * rng.normal(size=(5, d)), 0.3 * rng.normal(size=(5, d)), 0.5 + rng.random(5)
+    z, w = rng.integers(0, 5, n), rng.integers(0, 5, m)
+    x = centres[z] + spread[z, None] * rng.normal(size=(n, d))
+    return x, centres[w] + shift[w] + spread[w, None] * rng.normal(size=(m, d))
+
+
+def masses(kind: str, n: int, m: int, seed: int = 1):
+    """Two weight vectors of total 1."""
+    if kind == "uniform":
+        return np.full(n, 1 / n), np.full(m, 1 / m)
+    rng = np.random.default_rng(seed)
+    power = 6 if kind == "skewed" else 1
+    a, b = rng.exponential(size=n) ** power, rng.exponential(size=m) ** power
+    return a / a.sum(), b / b.sum()
+
+
+def check_certificate(result: EmdResult, cost: np.ndarray, a: np.ndarray, b: np.ndarray) -> None:
+    """Checks by brute force that the plan is feasible and that the potentials prove it optimal."""
+    n, m = cost.shape
+    plan, (alpha, beta) = result.plan, result.potentials
+    size = np.abs(cost).max() + np.abs(alpha).max() + np.abs(beta).max()
+    slack = cost - alpha[:, None] - beta[None, :]
+    assert slack.min() >= -ROUNDING * size, "potentials exceed a cost"
+    assert np.abs(slack[plan.rows, plan.cols]).max() <= ROUNDING * size, "mass on an arc with slack"
+    assert (plan.mass > 0).all()
+    assert len(plan.mass) <= n + m - 1
+    assert len(set(zip(plan.rows.tolist(), plan.cols.tolist(), strict=True))) == len(plan.mass)
+    total = a.sum()
+    np.testing.assert_allclose(np.bincount(plan.rows, plan.mass, n), a, rtol=1e-13, atol=1e-15 * total)
+    np.testing.assert_allclose(np.bincount(plan.cols, plan.mass, m), b, rtol=1e-13, atol=1e-15 * total)
+    assert abs(plan.mass @ cost[plan.rows, plan.cols] - result.cost) <= ROUNDING * size * total
+    assert abs(a @ alpha + b @ beta - result.cost) <= ROUNDING * size * total
+    assert abs(result.gap) <= ROUNDING * size * total
+
+
+def distances(x: np.ndarray, y: np.ndarray, metric: str = "euclidean") -> np.ndarray:
+    """The cost matrix, (n, m), from direct differences."""
+    return cdist(x, y, metric)  # type: ignore[call-overload]
