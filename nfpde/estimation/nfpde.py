@@ -93,7 +93,7 @@ class NfpdeTrainer:
         for _ in range(c.gradient_steps):
             ratio = torch.exp(self.flow.log_prob(z) - old)
             gain = ratio * weight
-            if c.clip is not None:
+            if c.clip > 0:
                 gain = torch.minimum(gain, ratio.clamp(1 - c.clip, 1 + c.clip) * weight)
             self.optimizer.zero_grad()
             (-gain.sum()).backward()

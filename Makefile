@@ -1,0 +1,48 @@
+# Needs Python 3.11 or newer, Rust and make; everything else is installed into .venv on the first call.
+PYTHON ?= python3
+BIN := .venv/bin
+RUN := runs/demo
+export WARP_CACHE_PATH ?= $(CURDIR)/.cache/warp
+RUST := Cargo.toml rust_ot/Cargo.toml $(wildcard rust_ot/src/*.rs)
+
+.PHONY: demo test check bench format install clean
+
+demo: install  ## ten recorded Hopper episodes -> distribution -> distance to the truth, about three minutes
+	$(BIN)/nfpde collect hopper --target mixture --episodes 10 --out $(RUN)/data
+	$(BIN)/nfpde fit hopper $(RUN)/data --params $(RUN)/data/parameters.toml --method softmax --out $(RUN)/fit
+	$(BIN)/nfpde evaluate $(RUN)/fit --truth $(RUN)/data/truth.json
+
+test: install  ## everything that runs on a CPU
+	$(BIN)/python -m pytest
+	cargo test --quiet --workspace
+
+check: install  ## style, types, import rules, documentation
+	$(BIN)/ruff check nfpde tests
+	$(BIN)/ruff format --check nfpde tests
+	$(BIN)/pyright
+	$(BIN)/python -m mypy.stubtest nfpde._rust_ot
+	$(BIN)/python -m pytest tests/test_architecture.py tests/test_readme.py
+	cargo fmt --check
+	cargo clippy --quiet --workspace --all-targets -- -D warnings
+
+bench: install  ## the tables of docs/results
+	$(BIN)/nfpde bench losses
+	$(BIN)/nfpde bench ot
+	$(BIN)/nfpde bench fit
+
+format: install
+	$(BIN)/ruff check --fix nfpde tests
+	$(BIN)/ruff format nfpde tests
+	cargo fmt
+
+install: .venv/installed
+
+# uv shares downloads between environments: seconds instead of minutes
+.venv/installed: pyproject.toml $(RUST)
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	test -x $(BIN)/uv || $(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable ".[dev]"
+	touch $@
+
+clean:
+	rm -rf .venv target runs .cache

@@ -1,0 +1,44 @@
+"""`nfpde fit`: from recordings to a distribution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from nfpde.cli.models import MODEL_HELP, make_simulator, read_dataset
+from nfpde.cli.settings import build, options_from
+from nfpde.estimation import Method, NfpdeConfig, draw_fit, fit
+
+
+@options_from(NfpdeConfig)
+def command(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help=MODEL_HELP)],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="recordings: .npz, .csv, .parquet, or a folder of them")],
+    out: Annotated[Path, typer.Option(help="folder for the results; an interrupted fit goes on from it")],
+    params: Annotated[Path | None, typer.Option(help="parameters.toml; a benchmark robot has its own")] = None,
+    method: Annotated[Method, typer.Option(help="candidate likelihood: Eq. 11 or Eq. 10 of the paper")] = "softmax",
+    resample: Annotated[
+        float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of everything random")] = 0,
+    quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
+    **settings: Any,
+) -> None:
+    """Fit a distribution over the model's parameters to recordings of one or many robots.
+
+    Writes the distribution, fit.json, corner.png and progress.png. The same command goes on where an interrupted
+    one stopped.
+    """
+    simulator = make_simulator(model, params)
+    dataset = read_dataset(data, resample)
+    config = build(NfpdeConfig, settings)
+    result = fit(simulator, dataset, method=method, config=config, seed=seed, out=out, quiet=quiet)
+    pictures = draw_fit(result, out, nominal=simulator.nominal())
+    Console().print(result.distribution.summary(simulator.nominal()))
+    typer.echo(f"{out / 'distribution'}: the distribution; nfpde.ParameterDistribution.load reads it")
+    typer.echo(f"{out / 'fit.json'}: settings, counts and the course of the fit")
+    for path, text in pictures.items():
+        typer.echo(f"{path}: {text}")

@@ -1,0 +1,38 @@
+"""What MODEL, DATA and --params on a command line stand for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nfpde.benchmarks import ROBOTS
+from nfpde.dataset import Dataset, load_dataset
+from nfpde.errors import BadInput
+from nfpde.parameters import ParameterSpace
+from nfpde.sim import MujocoSimulator
+
+MODEL_HELP = f"MJCF or URDF file, or a benchmark robot: {', '.join(ROBOTS)}"
+
+
+def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
+    """The simulator of a model file or benchmark robot, with the parameters of a TOML file.
+
+    Raises:
+        BadInput: neither a file nor a benchmark robot, or a model file without parameters to estimate.
+        NfpdeError: whatever is wrong with the model or the parameters.
+    """
+    known = ROBOTS.get(model)
+    if known is None and not Path(model).is_file():
+        raise BadInput(f"{model!r} is neither a file nor a benchmark robot ({', '.join(ROBOTS)})")
+    if params is None and known is None:
+        raise BadInput(
+            f"say with --params which parameters of {model} are unknown: a TOML file of [[parameter]] tables with "
+            "field, target, low and high"
+        )
+    space = known.space if known is not None and params is None else ParameterSpace.from_toml(params or "")
+    return MujocoSimulator(model if known is None else known.path, space)
+
+
+def read_dataset(path: Path, resample: float | None) -> Dataset:
+    """Load recordings; a folder made by `nfpde collect` stands for its data file."""
+    made_here = path / "data.npz"
+    return load_dataset(made_here if made_here.is_file() else path, resample=resample)

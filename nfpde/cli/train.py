@@ -1,0 +1,53 @@
+"""`nfpde train`: a policy for robots drawn from a fitted distribution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nfpde.distribution import ParameterDistribution
+from nfpde.truth import Truth
+
+
+def command(
+    env: Annotated[
+        str, typer.Argument(metavar="ENV", help="pendulum, hopper, walker2d, half_cheetah, humanoid or a Gymnasium id")
+    ],
+    distribution: Annotated[Path, typer.Option(help="what nfpde fit wrote, or a saved distribution")],
+    out: Annotated[Path, typer.Option(help="folder for the policy; an interrupted training goes on from it")],
+    steps: Annotated[int, typer.Option(help="control steps in all")] = 20_000,
+    truth: Annotated[Path | None, typer.Option(help="truth.json: evaluate on these robots, the target")] = None,
+    evaluation_every: Annotated[int, typer.Option(help="control steps between evaluations and checkpoints")] = 5000,
+    evaluation_episodes: Annotated[int, typer.Option(help="episodes of an evaluation")] = 20,
+    nominal_baseline: Annotated[bool, typer.Option(help="also train on the nominal model, and compare")] = False,
+    seed: Annotated[int, typer.Option(help="of everything random")] = 0,
+    device: Annotated[str, typer.Option(help="cpu, cuda or auto, for the networks")] = "auto",
+    quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
+) -> None:
+    """Train a policy by soft actor-critic on robots drawn anew from a distribution at every reset.
+
+    Writes the policy, train.json and returns.png. The same command goes on where an interrupted one stopped.
+    """
+    from nfpde.rl import train_sac  # stable-baselines3 takes seconds to import
+
+    inner = distribution / "distribution"
+    fitted = ParameterDistribution.load(inner if inner.is_dir() else distribution)
+    result = train_sac(
+        env,
+        fitted,
+        steps=steps,
+        out=out,
+        seed=seed,
+        target=None if truth is None else Truth.load(truth),
+        evaluation_every=evaluation_every,
+        evaluation_episodes=evaluation_episodes,
+        nominal_baseline=nominal_baseline,
+        device=device,
+        quiet=quiet,
+    )
+    typer.echo(result.summary())
+    typer.echo(f"{out / 'policy.safetensors'}: the policy; nfpde.rl.load_policy reads the folder")
+    typer.echo(f"{out / 'train.json'}: settings and all returns")
+    typer.echo(f"{out / 'returns.png'}: returns in training and in the target")
