@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from nfpde.effects.effect import Effect
 from nfpde.errors import BadEffect
-from nfpde.parameters import ParameterSpace, Target
+from nfpde.parameters import Parameter, ParameterSpace, Target
 
 _REGISTRY: dict[str, type[Effect]] = {}
 
@@ -50,17 +51,25 @@ def effects_in(space: ParameterSpace) -> list[Effect]:
     """The effects whose parameters are in a space (fields like `coulomb_friction.torque`), in order.
 
     Raises:
-        BadEffect: an effect of which only some parameters are there.
+        BadEffect: an effect of which only some parameters are there, or one that it does not have, or one with more
+            than field, target and bounds.
     """
-    found: dict[tuple[str, Target], dict[str, tuple[float, float]]] = {}
+    found: dict[tuple[str, Target], dict[str, Parameter]] = {}
     for p in space:
         head, _, tail = p.field.partition(".")
         if tail and head in _REGISTRY:
-            found.setdefault((head, p.target), {})[tail] = (p.low, p.high)
-    effects = []
-    for (name, target), bounds in found.items():
-        missing = [q.name for q in _REGISTRY[name].quantities if q.name not in bounds]
-        if missing:
-            raise BadEffect(f"{name} on {target!r}: the space lacks its parameter {missing[0]!r}")
-        effects.append(effect(name, target, **bounds))
-    return effects
+            found.setdefault((head, p.target), {})[tail] = p
+    return [_effect_of(name, target, given) for (name, target), given in found.items()]
+
+
+def _effect_of(name: str, target: Target, given: dict[str, Parameter]) -> Effect:
+    known = [q.name for q in _REGISTRY[name].quantities]
+    missing = [q for q in known if q not in given]
+    if missing and given.keys() <= set(known):
+        raise BadEffect(f"{name} on {target!r}: the space lacks its parameter {missing[0]!r}")
+    made = effect(name, target, **{tail: (p.low, p.high) for tail, p in given.items()})
+    for p in made.parameters:
+        own = given[p.field.partition(".")[2]]
+        if (own if own.unit else replace(own, unit=p.unit)) != p:
+            raise BadEffect(f"{p.name}: a parameter of an effect may set field, target, low and high, and nothing else")
+    return made

@@ -175,9 +175,8 @@ def _split(space: ParameterSpace | None) -> tuple[ParameterSpace | None, list[Ef
     if space is None:
         return None, []
     inside = effects_in(space)
-    of_effects = [p for e in inside for p in e.parameters]
-    keys = {(p.field, p.target) for p in of_effects}
-    base = [p for p in space if (p.field, p.target) not in keys]
-    if [*base, *of_effects] != list(space):
+    of_effects = [(p.field, p.target) for e in inside for p in e.parameters]
+    base = [p for p in space if (p.field, p.target) not in of_effects]
+    if [(p.field, p.target) for p in space] != [*((p.field, p.target) for p in base), *of_effects]:
         raise BadEffect("parameters of effects must follow all others in a space, each effect's in its own order")
     return (ParameterSpace(base) if base else None), inside
