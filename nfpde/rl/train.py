@@ -52,13 +52,13 @@ def train_sac(
         env: short name, Gymnasium id or maker of a MuJoCo environment, see `make_environment`.
         distribution: what parameters are drawn from, for example a fitted `ParameterDistribution`; or vectors (n, D)
             or one vector (D,) with `space`; or None for the nominal model, no randomization.
-        steps: control steps in all.
+        steps: control steps in all, a multiple of the hyperparameters' `train_every`.
         out: folder for the results.
         seed: of everything random.
         target: parameters of the real robots: a `Truth`, or vectors (n, D) of the distribution's space; episodes
             take them in turn. None evaluates on the distribution only.
         space: what vectors mean, where `distribution` is not one that knows.
-        evaluation_every: control steps of a round, at least those of an episode.
+        evaluation_every: control steps of a round, at least those of an episode; a multiple of `train_every`.
         evaluation_episodes: episodes of each evaluation, at least 2.
         hyperparameters: of SAC; None for the defaults.
         nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both.
@@ -95,6 +95,10 @@ def train_sac(
     ):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise BadInput(f"{name} is {value!r}; it must be a whole number, at least {least}")
+    config = hyperparameters or SacConfig()
+    for name, value in (("steps", steps), ("evaluation_every", evaluation_every)):
+        if value % config.train_every:
+            raise BadInput(f"{name} is {value}; it must be a multiple of train_every, {config.train_every}")
     job = Job(
         env=env,
         model=None if model is None else Path(model),
@@ -104,7 +108,7 @@ def train_sac(
         target_space=target_space,
         evaluation_every=evaluation_every,
         evaluation_episodes=evaluation_episodes,
-        config=hyperparameters or SacConfig(),
+        config=config,
         device=device,
         threads=threads,
         quiet=quiet,

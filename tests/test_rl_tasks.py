@@ -1,0 +1,84 @@
+"""The pendulum task, the short names, and their refusals."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.errors import BadInput
+from nfpde.rl import TASKS, evaluate_policy, make_environment
+from nfpde.rl.tasks import PENDULUM_XML
+
+
+@pytest.mark.parametrize(("name", "identifier"), TASKS.items())
+def test_short_names(name, identifier):
+    """Every short name makes its environment."""
+    env = make_environment(name)
+    assert env.spec is not None
+    assert env.spec.id == identifier
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*Box (action|observation) space:UserWarning")
+def test_pendulum_follows_gymnasiums_rules():
+    """Gymnasium's own checker finds no fault in the task."""
+    from gymnasium.utils.env_checker import check_env
+
+    check_env(gymnasium.make("nfpde/Pendulum-v0").unwrapped, skip_render_check=True)
+
+
+def test_pendulum_must_pump():
+    """The motor cannot hold the pendulum level: its largest torque is below half of gravity's."""
+    model = mujoco.MjModel.from_xml_path(str(PENDULUM_XML))
+    body = model.body("pendulum").id
+    gravity = model.body_mass[body] * 9.81 * -model.body_ipos[body, 2]
+    assert 0.2 * gravity < model.actuator_ctrlrange[0, 1] < 0.5 * gravity
+
+
+def test_pendulum_reward_and_observation():
+    """At rest upright a step earns 1, hanging 0; the observation is cosine, sine from upright and velocity."""
+    env = make_environment("pendulum")
+    env.reset(seed=0)
+    bare = env.unwrapped
+    for angle, reward in ((np.pi, 1.0), (0.0, 0.0)):
+        bare.set_state(np.array([angle]), np.zeros(1))  # type: ignore[attr-defined]
+        observation, got, terminated, _, _ = env.step(np.zeros(1, np.float32))
+        assert got == pytest.approx(reward, abs=1e-12)
+        np.testing.assert_allclose(observation, [np.cos(angle - np.pi), np.sin(angle - np.pi), 0], atol=1e-12)
+        assert not terminated
+
+
+def test_pendulum_can_be_solved():
+    """Pumping energy in and a linear regulator at the top earn most of an episode."""
+    from nfpde.parameters import Parameter, ParameterSpace
+
+    def regulator(o):
+        torque = 1.5 * np.sign(o[2]) if o[0] < 0.75 else -12 * np.arctan2(o[1], o[0]) - 2 * o[2]
+        return np.array([np.clip(torque, -1.5, 1.5)])
+
+    space = ParameterSpace([Parameter("body_mass", "pendulum", 0.4, 1.6)])
+    assert evaluate_policy(regulator, "pendulum", [0.7], space=space).mean > 100
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("flying_carpet",), "'flying_carpet': .*Known short names: pendulum, hopper"),
+        (("no_such_module:Robot-v0",), "no_such_module.*module:Id-v0"),
+        (("pendulum", "missing.xml"), "missing.xml: no such file"),
+        (("CartPole-v1", PENDULUM_XML), "'CartPole-v1' cannot be made with .*xml_file"),
+        ((lambda: gymnasium.make("Hopper-v5"), PENDULUM_XML), "goes with the name of an environment"),
+    ],
+)
+def test_unknown_environments_are_refused(arguments, text):
+    """A name, module or model that does not exist is refused by message."""
+    with pytest.raises(BadInput, match=text):
+        make_environment(*arguments)
+
+
+def test_another_model_file(tmp_path):
+    """A model file replaces the environment's own."""
+    path = tmp_path / "heavy.xml"
+    path.write_text(PENDULUM_XML.read_text().replace('mass="0.6"', 'mass="2"'))
+    env = make_environment("pendulum", path)
+    assert env.unwrapped.model.body("pendulum").mass[0] == pytest.approx(2.1)  # type: ignore[attr-defined]
