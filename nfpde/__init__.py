@@ -14,6 +14,8 @@ from nfpde.dataset import resample_episode as resample_episode
 from nfpde.dataset import save_dataset as save_dataset
 from nfpde.distribution import ParameterDistribution as ParameterDistribution
 from nfpde.effects import Effect as Effect
+from nfpde.effects import Quantity as Quantity
+from nfpde.effects import World as World
 from nfpde.effects import effect as effect
 from nfpde.effects import effect_names as effect_names
 from nfpde.effects import register as register

@@ -22,17 +22,17 @@ class NfpdeConfig:
     """
 
     iterations: int = setting(60, "times that samples are drawn, simulated and learned from", 1)
-    samples: int = setting(400, "parameter vectors drawn in an iteration (the paper's M)", 2)
-    transitions: int = setting(128, "transitions compared in an iteration (a minibatch of the paper's N)", 1)
+    samples: int = setting(1000, "parameter vectors drawn in an iteration (the paper's M)", 2)
+    transitions: int = setting(32, "transitions compared in an iteration (a minibatch of the paper's N)", 1)
     horizon: int = setting(1, "control steps predicted open loop before comparing", 1)
     beta: float | None = setting(None, "temperature of the softmax candidate; by default found from the data", 1e-300)
-    least_effective: float = setting(20.0, "effective samples that the temperature leaves, where it is found", 1.0)
+    least_effective: float = setting(5.0, "effective samples that the temperature leaves, where it is found", 1.0)
     scale: Literal["increment", "unit"] = setting(
         "increment", "errors counted in root-mean-square changes of each channel, or in the model's units (Eq. 9)"
     )
-    clip: float = setting(0.2, "clipping range of the probability ratio, as in PPO; 0: the plain ratio of Eq. 8", 0.0)
-    gradient_steps: int = setting(10, "Adam steps on the samples of an iteration", 1)
-    learning_rate: float = setting(5e-4, "of Adam, at the start; it falls linearly to a tenth", 0.0)
+    clip: float = setting(0.5, "clipping range of the probability ratio, as in PPO; 0: the plain ratio of Eq. 8", 0.0)
+    gradient_steps: int = setting(20, "Adam steps on the samples of an iteration", 1)
+    learning_rate: float = setting(1e-3, "of Adam, at the start; it falls linearly to a tenth", 0.0)
     flow: Literal["auto", "realnvp", "nsf", "maf"] = setting("auto", "kind of normalizing flow (auto: Real NVP)")
     transforms: int = setting(6, "layers of the flow", 1)
     hidden: int = setting(64, "width of the two hidden layers of every transform", 1)

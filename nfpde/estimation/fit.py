@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from nfpde.checkpoint import load_state, save_state
@@ -103,7 +106,8 @@ def fit(
         "simulator": simulator.identity(),
         "dataset": dataset.content_hash(),
     }
-    counted = _iterate(trainer, simulator, run, None if out is None else Path(out), quiet)
+    with _one_thread():
+        counted = _iterate(trainer, simulator, run, None if out is None else Path(out), quiet)
     info = {
         **run,
         "transitions": len(windows),
@@ -124,6 +128,17 @@ def fit(
     if out is not None:
         result.save(out)
     return result
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep torch to one thread: its networks here are so small that more of them only get in each other's way."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _iterate(
