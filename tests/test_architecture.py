@@ -20,7 +20,8 @@ ROWS = [
     {"distribution"},
     {"corner", "benchmarks", "losses"},
     {"estimation", "evaluate", "rl"},
-    {"bench", "cli"},
+    {"bench"},
+    {"cli"},
 ]
 RANK = {unit: rank for rank, row in enumerate(ROWS) for unit in row}
 

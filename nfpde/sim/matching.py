@@ -34,6 +34,6 @@ def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -
         names={
             "qpos": expand_names(joints, [_WIDTH_QPOS[k] for k in kinds]),
             "qvel": expand_names(joints, [_WIDTH_QVEL[k] for k in kinds]),
-            "ctrl": element_names(model, "actuator"),
+            "ctrl": expand_names(element_names(model, "actuator"), [int(k) for k in model.actuator_ctrlnum]),
         },
     )

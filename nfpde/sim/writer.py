@@ -37,11 +37,38 @@ _DERIVED = ("M0", "invweight0", "subtreemass", "acc0", "length0", "lengthrange",
 
 @dataclass(frozen=True)
 class _Slot:
-    """Where one parameter is written: entries `index` of a field, whose own values are `nominal`."""
+    """Where one parameter is written: entries `index` of a field, whose own values are `nominal`.
+
+    inertia: of the bodies whose mass it is and whose inertia follows, (n, 3), or None
+    """
 
     parameter: Parameter
     index: tuple[NDArray[np.intp] | int, ...]
     nominal: Array
+    inertia: Array | None = None
+
+
+class _Scratch:
+    """A model that parameter vectors are written into, with views of its fields kept from one to the next."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self._views: dict[str, NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        view = self._views.get(name)
+        if view is None:
+            view = get_field(self.model, name)
+            if view.ndim:  # a scalar option is no view
+                self._views[name] = view
+        return view
+
+    def __setitem__(self, name: str, value: NDArray[Any]) -> None:
+        if value.ndim:
+            self[name][...] = value
+        else:
+            set_field(self.model, name, value)
 
 
 class ModelWriter:
@@ -71,9 +98,9 @@ class ModelWriter:
             if overrides(e, "write_model"):
                 self._effects.append((e, slice(column, column + len(e.parameters))))
             column += len(e.parameters)
-        self._scratch = copy.copy(self.nominal)
-        self._data = mujoco.MjData(self._scratch)
+        self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
+        self._nominal_fields: dict[str, NDArray[Any]] = {}
         self.fields = self._changing_fields(everything)
         self._nominal_fields = {f: np.array(get_field(self.nominal, f)) for f in self.fields}
 
@@ -85,18 +112,15 @@ class ModelWriter:
         Raises:
             BadParameter: MuJoCo refuses the model with these values.
         """
-        for name, value in self._nominal_fields.items():
-            set_field(model, name, value)
-        self._write(model, xi)
-        self._set_const(model, xi, self._data if model is self._scratch else mujoco.MjData(model))
+        self._write(_Scratch(model), xi)
 
     def rows(self, xi: Array) -> dict[str, Array]:
         """Model fields that depend on the parameters, for every vector: xi (M, D) to arrays (M, ...)."""
         out = {f: np.empty((len(xi), *v.shape), v.dtype) for f, v in self._nominal_fields.items()}
         for m, vector in enumerate(xi):
-            self.write(self._scratch, vector)
+            self._write(self._scratch, vector)
             for name, array in out.items():
-                array[m] = get_field(self._scratch, name)
+                array[m] = self._scratch[name]
         return out
 
     def nominal_values(self) -> Array:
@@ -107,23 +131,23 @@ class ModelWriter:
             values.append(float(own[0]) if own.size == 1 else np.nan)
         return np.array(values)
 
-    def _write(self, model: mujoco.MjModel, xi: Array) -> None:
+    def _write(self, scratch: _Scratch, xi: Array) -> None:
+        for name, value in self._nominal_fields.items():
+            scratch[name] = value
         for slot, value in zip(self._slots, xi[: self.nbase], strict=True):
             p = slot.parameter
-            new = slot.nominal * value if p.relative else np.full_like(slot.nominal, value)
             if slot.index:
-                get_field(model, p.field)[slot.index] = new
+                scratch[p.field][slot.index] = slot.nominal * value if p.relative else value
             else:
-                set_field(model, p.field, new)
-            if p.field == "body_mass" and p.scale_inertia:
-                ratio = np.full_like(new, value) if p.relative else new / slot.nominal
-                model.body_inertia[slot.index] = self.nominal.body_inertia[slot.index] * ratio[:, None]
+                scratch[p.field] = np.asarray(slot.nominal * value if p.relative else value)
+            if slot.inertia is not None:
+                scratch["body_inertia"][slot.index] = slot.inertia * (
+                    value if p.relative else value / slot.nominal[:, None]
+                )
         for e, columns in self._effects:
-            e.write_model(model, np.asarray(xi[columns]))
-
-    def _set_const(self, model: mujoco.MjModel, xi: Array, data: mujoco.MjData) -> None:
+            e.write_model(scratch.model, np.asarray(xi[columns]))
         try:
-            mujoco.mj_setConst(model, data)
+            mujoco.mj_setConst(scratch.model, scratch.data)
         except (mujoco.FatalError, ValueError) as error:
             names = [s.parameter.name for s in self._slots] + [e.name for e, _ in self._effects]
             raise BadParameter(f"{', '.join(names)}: MuJoCo refuses the model with the values {xi}: {error}") from None
@@ -137,10 +161,9 @@ class ModelWriter:
         changed: set[str] = set()
         # irregular places in the box: a value that happens to be the model's own would hide its field
         for share in (0.0, 1.0, 0.3819, 0.7236):
-            probe = copy.copy(self.nominal)
+            probe = _Scratch(copy.copy(self.nominal))
             self._write(probe, low + (high - low) * share)
-            self._set_const(probe, low + (high - low) * share, mujoco.MjData(probe))
-            changed |= {f for f, v in before.items() if not np.array_equal(v, get_field(probe, f), equal_nan=True)}
+            changed |= {f for f, v in before.items() if not np.array_equal(v, probe[f], equal_nan=True)}
         for slot in self._slots:
             if slot.parameter.field not in changed:
                 raise BadParameter(f"{slot.parameter.name}: no value within its bounds differs from the model's own")
@@ -210,7 +233,8 @@ def _slot(model: mujoco.MjModel, p: Parameter) -> _Slot:
             f"{p.name}: the model's own value is 0, so it cannot be scaled"
             + ("" if p.relative else "; a mass without inertia: set scale_inertia=False or give the body a mass")
         )
-    return _Slot(p, index, nominal)
+    inertia = np.array(model.body_inertia[ids]) if p.field == "body_mass" and p.scale_inertia else None
+    return _Slot(p, index, nominal, inertia)
 
 
 def _component(p: Parameter, size: int) -> int:
