@@ -125,8 +125,10 @@ class MujocoSimulator(Simulator):
         """Simulate rows side by side: xi (R, D), the model fields of all vectors, and which vector each row has."""
         n, horizon, nq = len(xi), windows.horizon, self.states.nq
         batch = self._prepared_batch(n)
-        for name in {*fields, *self._bound.step_fields}:
-            batch.expand(name)[:n] = fields[name][vector] if name in fields else get_field(self.model, name)
+        for name, values in fields.items():
+            np.take(values, vector, axis=0, out=batch.expand(name)[:n], mode="clip")  # "clip" writes without a copy
+        for name in set(self._bound.step_fields) - fields.keys():
+            batch.expand(name)[:n] = get_field(self.model, name)
         effects = self._bound.on_rows(xi)
         start = effects.to_simulated(windows.state[window, 0])
         qpos, qvel, ctrl = (batch.bind(name)[:n] for name in ("qpos", "qvel", "ctrl"))
@@ -134,7 +136,7 @@ class MujocoSimulator(Simulator):
         signal = effects.commands(windows, window, self.history_steps(windows.control_dt), nsub)
         before_step = effects.before_steps(batch, n)
         single = nsub if signal is None and before_step is None else 1
-        out = np.full((n, horizon, self.states.nx), np.nan)
+        out = np.empty((n, horizon, self.states.nx))
         alive = np.arange(n)
         for h in range(horizon):
             ctrl[:] = windows.ctrl[window, h]
@@ -145,8 +147,11 @@ class MujocoSimulator(Simulator):
                     before_step()
                 _step(batch, alive, single)
             # MuJoCo resets a simulation that blew up and goes on; every warning that it counts makes its numbers wrong
-            alive = alive[~(batch.warning[alive, :, 1] > 0).any(1)]
-            out[alive, h, :nq], out[alive, h, nq:] = qpos[alive], qvel[alive]
+            broken = batch.warning[:n, :, 1].any(1)
+            out[:, h, :nq], out[:, h, nq:] = qpos, qvel
+            if broken.any():
+                out[broken, h:] = np.nan
+                alive = np.flatnonzero(~broken)
         out = effects.to_measured(out)
         out[np.logical_or.accumulate(~np.isfinite(out).all(2), axis=1)] = np.nan
         return out
