@@ -2,6 +2,7 @@
 
 import json
 import random
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from nfpde.rl.learner import SacLearner, isolated_randomness
 from nfpde.rl.randomize import RandomizedParameters
 from nfpde.rl.replay import ARRAYS, ReplayFiles
 from nfpde.rl.tasks import make_environment
+from nfpde.rl.train import PRESETS
 from nfpde.truth import Truth
 
 SPACE = ParameterSpace(
@@ -172,6 +174,14 @@ def test_nominal_baseline(tmp_path):
     assert result.baseline.before.training != result.before.training
     assert not np.array_equal(result.baseline.policy.weights["mean.bias"], result.policy.weights["mean.bias"])
     assert "trained on the nominal model" in result.summary()
+    mine, theirs = result.after.target, result.baseline.after.target
+    assert mine is not None
+    assert theirs is not None
+    ahead = mine.ahead_of(theirs)
+    assert ahead is not None
+    difference = np.array(mine.returns) - np.array(theirs.returns)
+    # two episodes: the standard error of a mean of two is half their distance
+    np.testing.assert_allclose(ahead, [difference.mean(), abs(difference[0] - difference[1]) / 2], rtol=1e-12)
     assert json.loads((tmp_path / "train.json").read_text())["nominal_baseline"]["points"][-1]["step"] == 160
     assert load_policy(tmp_path / "nominal").nobservation == 3
 
@@ -316,6 +326,15 @@ def test_bad_hyperparameters(change, text):
         SacConfig(**change)
 
 
+def test_presets(tmp_path):
+    """Without hyperparameters an environment's preset counts, whichever of its names is used."""
+    for name in ("pendulum", "nfpde/Pendulum-v0"):
+        result = train_sac(
+            name, TARGET[0], steps=4, out=tmp_path / name, space=SPACE, evaluation_episodes=2, quiet=True
+        )
+        assert result.settings["hyperparameters"] == asdict(PRESETS["nfpde/Pendulum-v0"])
+
+
 def test_fixed_entropy_coefficient(tmp_path):
     """A number for the entropy coefficient trains and goes on, too."""
     config = SacConfig(hidden=(8,), batch_size=8, learning_starts=10, train_every=4, entropy=0.1)
@@ -334,18 +353,20 @@ def test_environments_sac_cannot_use_are_refused():
 
 @pytest.mark.slow
 def test_pendulum_is_solved(tmp_path):
-    """One to two CPU minutes: trained on an estimate of mass and damping, the pendulum swings up in the target."""
-    result = train(
-        tmp_path,
-        10_000,
-        evaluation_every=2500,
-        evaluation_episodes=10,
-        hyperparameters=SacConfig(hidden=(64, 64), learning_rate=1e-3, batch_size=128, learning_starts=500, gamma=0.98),
+    """Within about a CPU minute: trained on an estimate of mass and damping, the pendulum is solved in the target."""
+    space = ParameterSpace(SPACE.parameters[:2])
+    z = torch.tensor(space.to_unconstrained([[1.15, 0.11]]))
+    estimate = ParameterDistribution(space, GaussianMixture(torch.ones(1), z, 0.1 * torch.eye(2)[None]))
+    result = train_sac(
+        "pendulum", estimate, steps=8000, out=tmp_path, target=[1.2, 0.12], nominal_baseline=True, device="cpu"
     )
-    assert result.before.target is not None
-    assert result.after.target is not None
-    # upright from about a third of the episode on; hanging earns 0, a swing below the top at most about 45
-    assert result.before.target.mean is not None
-    assert result.before.target.mean < 5
-    assert result.after.target.mean is not None
-    assert result.after.target.mean > 80
+    print(result.summary())
+    assert result.baseline is not None
+    # starts are anywhere on the circle: always upright earns 150, hanging about 0, swinging to and fro below 75
+    before, after = result.before.target, result.after.target
+    assert before is not None
+    assert after is not None
+    assert before.mean is not None
+    assert after.mean is not None
+    assert before.mean < 60
+    assert after.mean > 100

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nfpde.rl.policy import Policy
 
 SCHEMA_VERSION = 1
@@ -16,17 +18,28 @@ JSON_FILE = "train.json"
 
 @dataclass(frozen=True)
 class Score:
-    """Mean return of some episodes, without exploration; None where one of them diverged, and `problem` says how."""
+    """Returns of some episodes without exploration, their mean and its standard error.
+
+    All evaluations of trainings with one seed run the same episodes, so that their returns can be compared one by
+    one. Where an episode diverged there are no returns, mean and error are None, and `problem` says what happened.
+    """
 
     mean: float | None
     standard_error: float | None
-    episodes: int
+    returns: tuple[float, ...] = ()
     problem: str | None = None
 
     def __str__(self) -> str:
         if self.mean is None or self.standard_error is None:
             return "diverged"
         return f"{self.mean:.4g} ± {self.standard_error:.2g}"
+
+    def ahead_of(self, other: Score) -> tuple[float, float] | None:
+        """Mean and standard error of the differences in return on the same episodes; None where one diverged."""
+        if not self.returns or not other.returns:
+            return None
+        difference = np.subtract(self.returns, other.returns)
+        return float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,10 @@ class Point:
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Point:
         """Read what `dataclasses.asdict` made."""
-        scores = {k: None if value[k] is None else Score(**value[k]) for k in ("training", "target")}
+        scores: dict[str, Score | None] = {}
+        for key in ("training", "target"):
+            score = value[key]
+            scores[key] = None if score is None else Score(**{**score, "returns": tuple(score["returns"])})
         return cls(**{**value, **scores})
 
 
@@ -93,6 +109,9 @@ class TrainResult:
         if self.baseline is not None:
             last = self.baseline.after
             lines.append(f"trained on the nominal model: {last.target or last.training} after")
+            ahead = after.target.ahead_of(last.target) if after.target and last.target else None
+            if ahead is not None:
+                lines.append(f"difference in the target, episode by episode: {ahead[0]:+.3g} ± {ahead[1]:.2g}")
         return "\n".join(lines)
 
 

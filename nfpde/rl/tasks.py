@@ -31,9 +31,9 @@ class Pendulum(MujocoEnv):
     """Swing a pendulum up and hold it, with a motor that must pump because it cannot lift the bob.
 
     Body `pendulum`, joint `hinge` [rad, 0 hangs down], actuator `motor` [Nm]. An episode has 150 steps of 0.05 s
-    and starts hanging, nearly at rest. Observation: cosine and sine of the angle from upright, angular velocity
-    [rad/s]. Reward a step: (1 + cosine) / 2 less 0.002 velocity^2 and 0.02 (torque / limit)^2, so that holding the
-    pendulum upright earns nearly 1 and hanging still 0.
+    and starts at any angle, with at most 1 rad/s. Observation: cosine and sine of the angle from upright, angular
+    velocity [rad/s]. Reward a step: (1 + cosine) / 2 less 0.002 velocity^2 and 0.02 (torque / limit)^2, so that
+    holding the pendulum upright earns nearly 1 and hanging still 0.
 
     Args:
         xml_file: another MJCF with the same joint and actuator.
@@ -51,8 +51,8 @@ class Pendulum(MujocoEnv):
         super().__init__(str(Path(xml_file).resolve()), 5, space, camera_name="side", **kwargs)
 
     def reset_model(self) -> NDArray[np.float64]:
-        """Hang, nearly at rest."""
-        self.set_state(self.np_random.uniform(-0.1, 0.1, 1), self.np_random.uniform(-0.1, 0.1, 1))
+        """Start anywhere on the circle, slowly."""
+        self.set_state(self.np_random.uniform(-np.pi, np.pi, 1), self.np_random.uniform(-1.0, 1.0, 1))
         return self._get_obs()
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], Any, bool, bool, dict[str, Any]]:

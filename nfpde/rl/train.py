@@ -12,9 +12,14 @@ from nfpde.rl.history import TrainResult, write_json
 from nfpde.rl.learner import SacConfig
 from nfpde.rl.plot import plot_returns
 from nfpde.rl.randomize import Draws, check_source
-from nfpde.rl.tasks import Environment
+from nfpde.rl.tasks import TASKS, Environment
 from nfpde.rl.training import Job, Training
 from nfpde.truth import Truth
+
+PRESETS = {
+    TASKS["pendulum"]: SacConfig(hidden=(64, 64), learning_rate=1e-3, batch_size=128, learning_starts=500, gamma=0.98),
+}
+"""Hyperparameters of environments for which the defaults are needlessly slow, by Gymnasium id."""
 
 
 def train_sac(
@@ -60,7 +65,7 @@ def train_sac(
         space: what vectors mean, where `distribution` is not one that knows.
         evaluation_every: control steps of a round, at least those of an episode; a multiple of `train_every`.
         evaluation_episodes: episodes of each evaluation, at least 2.
-        hyperparameters: of SAC; None for the defaults.
+        hyperparameters: of SAC; None for those of `PRESETS` where the environment is among them, else the defaults.
         nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both.
         model: MJCF file in place of the environment's own.
         device: for the networks: `cpu`, `cuda`, or `auto` for CUDA where there is one.
@@ -95,7 +100,9 @@ def train_sac(
     ):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise BadInput(f"{name} is {value!r}; it must be a whole number, at least {least}")
-    config = hyperparameters or SacConfig()
+    config = hyperparameters
+    if config is None:
+        config = PRESETS.get(TASKS.get(env, env), SacConfig()) if isinstance(env, str) else SacConfig()
     for name, value in (("steps", steps), ("evaluation_every", evaluation_every)):
         if value % config.train_every:
             raise BadInput(f"{name} is {value}; it must be a multiple of train_every, {config.train_every}")

@@ -178,8 +178,8 @@ class Training:
         try:
             found = evaluate_policy(self.policy, env, episodes=episodes, seed=self.job.seed)
         except SimulationDiverged as error:
-            return Score(None, None, episodes, str(error))
-        return Score(found.mean, found.standard_error, episodes)
+            return Score(None, None, problem=str(error))
+        return Score(found.mean, found.standard_error, tuple(found.returns.tolist()))
 
     def _result(self) -> TrainResult:
         return TrainResult(self.out, self.identity, tuple(self.points), self.policy, self.seconds)
