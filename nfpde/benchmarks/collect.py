@@ -37,10 +37,12 @@ def collect(
         The recordings, and apart from them the robots' parameters.
 
     Raises:
-        BadInput: an unknown target, or a count below one.
+        BadInput: an unknown target, a count below one, or a seed below zero.
     """
     if episodes < 1 or steps < 1:
         raise BadInput(f"episodes and steps must be at least 1, got {episodes} and {steps}")
+    if seed < 0:
+        raise BadInput(f"seed must be at least 0, got {seed}")
     rng = np.random.default_rng(seed)
     people = population(robot.space, target)
     xi = draw_robots(robot.space, people, episodes, rng)

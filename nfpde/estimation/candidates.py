@@ -22,7 +22,8 @@ def softmax(losses: Array, beta: float) -> Array:
     The weights are the responsibilities of the samples for a transition, so that ascending Eq. 8 is a step of
     stochastic expectation-maximisation on the marginal likelihood, Eq. 5.
     """
-    weights = np.exp(-(losses - losses.min(0)) / beta)
+    with np.errstate(over="ignore"):  # a large loss over a tiny beta: the weight is 0
+        weights = np.exp(-(losses - losses.min(0)) / beta)
     return weights / weights.sum(0)
 
 

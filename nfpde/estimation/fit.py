@@ -28,6 +28,7 @@ from nfpde.sim import Simulator
 
 Method = Literal["softmax", "cai"]
 
+SCHEMA_VERSION = 1
 CHECKPOINT_SECONDS = 5.0
 
 
@@ -48,11 +49,36 @@ class FitResult:
     info: dict[str, Any]
 
     def save(self, folder: str | Path) -> None:
-        """Write `distribution/`, `initial/` and `fit.json`."""
+        """Write `distribution/`, `initial/` and, last, `fit.json`."""
         folder = Path(folder)
         self.distribution.save(folder / "distribution")
         self.initial.save(folder / "initial")
-        (folder / "fit.json").write_text(json.dumps({**self.info, "history": self.history}, indent=1))
+        content = {"schema_version": SCHEMA_VERSION, **self.info, "history": self.history}
+        temporary = folder / "fit.json.tmp"
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+        temporary.replace(folder / "fit.json")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> FitResult:
+        """Read what `save` wrote.
+
+        Raises:
+            BadInput: a file is missing or damaged, or of another version.
+        """
+        folder = Path(folder)
+        path = folder / "fit.json"
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise BadInput(f"{path} cannot be read ({error.strerror}); is this the folder of a fit?") from None
+        except ValueError as error:
+            raise BadInput(f"{path} is not JSON: {error}") from None
+        found = content.pop("schema_version", None) if isinstance(content, dict) else None
+        if found != SCHEMA_VERSION or "history" not in content:
+            raise BadInput(f"{path}: schema_version is {found!r}, this version of nfpde reads {SCHEMA_VERSION}")
+        distribution = ParameterDistribution.load(folder / "distribution")
+        initial = ParameterDistribution.load(folder / "initial", distribution.space)
+        return cls(distribution, initial, content.pop("history"), content)
 
 
 def fit(
@@ -67,15 +93,13 @@ def fit(
 ) -> FitResult:
     """Fit a distribution over the simulator's parameters to recordings of one or many robots.
 
-    Main arguments:
-
     Args:
         simulator: predicts; its `space` holds the parameters.
         dataset: recordings that fit the simulator.
         method: `softmax` (Eq. 11) or `cai` (Eq. 10) of Takano et al., IROS 2024, Algorithm 1. With `softmax`
             the temperature beta is found from the data unless the settings give it: see `next_beta`.
         config: settings; the defaults suit a few parameters and a few hundred transitions.
-        seed: of everything random; equal seeds give equal results.
+        seed: of everything random, at least 0; equal seeds give equal results.
         out: folder for checkpoints and results. A run that was interrupted or killed goes on from there, to the
             same numbers as one that never stopped; a finished one is read back.
         quiet: no progress on the error stream.
@@ -87,6 +111,8 @@ def fit(
     """
     if method not in get_args(Method):
         raise BadInput(f"no method is called {method!r}; there are: {', '.join(get_args(Method))}")
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise BadInput(f"seed is {seed!r}; it must be an integer of at least 0")
     config = config or NfpdeConfig()
     dataset = simulator.prepare(dataset)
     windows = dataset.windows(config.horizon, stride=1, history=simulator.history_steps(dataset.control_dt))
@@ -155,26 +181,40 @@ def _iterate(
     steps_before, begun = counted["simulated_steps"] - simulator.simulated_steps, time.perf_counter()
     seconds_before = counted["seconds"]
 
+    def snapshot() -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+        tensors, info = trainer.state()
+        now = {
+            "simulated_steps": steps_before + simulator.simulated_steps,
+            "seconds": seconds_before + time.perf_counter() - begun,
+        }
+        return tensors, {"run": run, "counted": now, **info}
+
     def save() -> None:
-        counted["simulated_steps"] = steps_before + simulator.simulated_steps
-        counted["seconds"] = seconds_before + time.perf_counter() - begun
         if folder is not None:
-            tensors, info = whole
-            save_state(folder, tensors, {"run": run, "counted": counted, **info})
+            save_state(folder, *whole)
 
     total, last_save = trainer.config.iterations, time.monotonic()
+    if saved is not None and trainer.iteration >= total:
+        return counted
     # an interrupt may hit in the middle of an iteration: what is saved is always the state at the end of one
-    whole = trainer.state()
+    whole = snapshot()
     with progress(f"Fitting ({trainer.candidate})", total, start=trainer.iteration, quiet=quiet) as report:
         try:
             while trainer.iteration < total:
                 figures = trainer.step()
-                whole = trainer.state()
+                whole = snapshot()
                 shown = {k: figures[k] for k in ("loss", "beta", "effective") if k in figures}
                 report(trainer.iteration, **shown)
                 if time.monotonic() - last_save > CHECKPOINT_SECONDS:
                     save()
                     last_save = time.monotonic()
+        except KeyboardInterrupt:
+            if folder is None:
+                raise
+            raise KeyboardInterrupt(
+                f"the fit stopped; {out} holds its state after {whole[1]['iteration']} of {total} iterations, from "
+                "which the same call goes on"
+            ) from None
         finally:
             save()
-    return counted
+    return whole[1]["counted"]

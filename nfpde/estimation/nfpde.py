@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
+from nfpde.errors import BadInput
 from nfpde.estimation.candidates import cai, effective_samples, next_beta, softmax
 from nfpde.estimation.config import NfpdeConfig
 from nfpde.flow import Flow, build_flow
@@ -22,6 +23,20 @@ Array = NDArray[np.float64]
 
 LossFunction = Callable[[Array, NDArray[np.intp]], Array]
 """Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,)."""
+
+
+def surrogate(ratio: Tensor, weight: Tensor, clip: float) -> Tensor:
+    """Eq. 8 on M samples: the sum of ratio x weight, pessimistically clipped as in PPO (Schulman et al., 2017).
+
+    Args:
+        ratio: p_theta(xi) / p_old(xi) of every sample, (M,).
+        weight: log p(o | xi) of every sample in the sense of Eq. 10 or 11, averaged over transitions, (M,).
+        clip: c of min(ratio x weight, clamp(ratio, 1 - c, 1 + c) x weight); 0 takes the plain ratio.
+    """
+    gain = ratio * weight
+    if clip > 0:
+        gain = torch.minimum(gain, ratio.clamp(1 - clip, 1 + clip) * weight)
+    return gain.sum()
 
 
 @dataclass
@@ -84,7 +99,7 @@ class NfpdeTrainer:
         return self.history[-1]
 
     def _ascend(self, z: Tensor, weight: Tensor) -> None:
-        """Adam on the surrogate of Eq. 8: sum over samples of ratio x weight, with PPO's pessimistic clipping."""
+        """Adam on the surrogate of Eq. 8."""
         c = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = c.learning_rate * (1 - 0.9 * min(1.0, self.iteration / c.iterations))
@@ -92,12 +107,14 @@ class NfpdeTrainer:
             old = self.flow.log_prob(z)
         for _ in range(c.gradient_steps):
             ratio = torch.exp(self.flow.log_prob(z) - old)
-            gain = ratio * weight
-            if c.clip > 0:
-                gain = torch.minimum(gain, ratio.clamp(1 - c.clip, 1 + c.clip) * weight)
             self.optimizer.zero_grad()
-            (-gain.sum()).backward()
+            (-surrogate(ratio, weight, c.clip)).backward()
             self.optimizer.step()
+        if not all(bool(torch.isfinite(p).all()) for p in self.flow.parameters()):
+            raise BadInput(
+                f"the flow's weights are no longer finite after iteration {self.iteration + 1}: the learning rate "
+                f"{c.learning_rate:g} is too high; lower learning_rate"
+            )
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next iteration depends on, as tensors and JSON."""
