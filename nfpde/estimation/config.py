@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from nfpde.errors import BadInput
 
@@ -18,7 +18,7 @@ class NfpdeConfig:
     """Settings of NFPDE (Takano et al., IROS 2024, Algorithm 1).
 
     Raises:
-        BadInput: a value below its least.
+        BadInput: a value below its least, no such choice, or values that exclude each other.
     """
 
     iterations: int = setting(60, "times that samples are drawn, simulated and learned from", 1)
@@ -39,16 +39,24 @@ class NfpdeConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.beta is None and self.least_effective > self.samples:
+            raise BadInput(
+                f"least_effective is {self.least_effective:g}; it can be at most samples, which is {self.samples}"
+            )
 
 
 def check_settings(config: Any) -> None:
-    """Refuse values of a settings dataclass below their least.
+    """Refuse values of a settings dataclass below their least, and names that are no choice.
 
     Raises:
-        BadInput: naming the setting, the value and the least.
+        BadInput: naming the setting, the value and the least or the choices.
     """
+    types = get_type_hints(type(config))
     for f in fields(config):
         value, least = getattr(config, f.name), f.metadata.get("least")
+        if get_origin(types[f.name]) is Literal and value not in get_args(types[f.name]):
+            choices = ", ".join(map(repr, get_args(types[f.name])))
+            raise BadInput(f"{f.name} is {value!r}; it must be one of {choices} ({f.metadata['help']})")
         if value is None or least is None:
             continue
         wrong = isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < float("inf")
