@@ -3,11 +3,30 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
 
 import typer
 
 from nfpde.cli import bench, collect, evaluate, fit, train
 from nfpde.errors import NfpdeError
+
+
+def stoppable(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorator: an interrupt of the command is one line, which says how to go on, and exit status 130."""
+
+    @wraps(command)
+    def stopping(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except KeyboardInterrupt as stop:
+            text = str(stop).replace("the same call", "the same command") or "interrupted; give the same command again"
+            print(f"nfpde: {text}", file=sys.stderr)
+            raise typer.Exit(130) from None
+
+    return stopping
+
 
 app = typer.Typer(
     name="nfpde",
@@ -16,10 +35,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command("collect")(collect.command)
-app.command("fit")(fit.command)
-app.command("evaluate")(evaluate.command)
-app.command("train")(train.command)
+app.command("collect")(stoppable(collect.command))
+app.command("fit")(stoppable(fit.command))
+app.command("evaluate")(stoppable(evaluate.command))
+app.command("train")(stoppable(train.command))
 app.add_typer(bench.app, name="bench")
 
 
@@ -31,5 +50,6 @@ def main() -> None:
         print(f"nfpde: {error}", file=sys.stderr)
         sys.exit(1)
     except OSError as error:
-        print(f"nfpde: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"nfpde: {where}{error.strerror or error}", file=sys.stderr)
         sys.exit(1)

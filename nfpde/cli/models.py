@@ -33,6 +33,7 @@ def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
 
 
 def read_dataset(path: Path, resample: float | None) -> Dataset:
-    """Load recordings; a folder made by `nfpde collect` stands for its data file."""
-    made_here = path / "data.npz"
-    return load_dataset(made_here if made_here.is_file() else path, resample=resample)
+    """Load recordings; a folder made by `nfpde collect` stands for its data file, the only one in it."""
+    found = [f for f in path.iterdir() if f.suffix.lower() in (".npz", ".csv", ".parquet")] if path.is_dir() else []
+    made_here = [f.name for f in found] == ["data.npz"]
+    return load_dataset(found[0] if made_here else path, resample=resample)
