@@ -166,6 +166,15 @@ def test_a_delay_of_whole_steps_is_a_shift(steps, target, column):
         np.testing.assert_array_equal(predicted[n], expected[2::3])
 
 
+def test_rounding_of_the_delay_is_no_fraction_of_a_step():
+    """One part in 10^15 more than three steps is three steps, for commands that would show the difference."""
+    sim = delay()
+    commands = np.random.default_rng(0).uniform(-1, 1, (1, 50, 2)) * 10.0 ** np.arange(-8, 8).repeat(4)[:50, None]
+    exact, above = (sim.effects[0].command(commands, np.array([[d]]), 0.002) for d in (0.006, 0.006 * (1 + 1e-15)))
+    np.testing.assert_array_equal(exact[:, 3:], commands[:, :-3])
+    np.testing.assert_array_equal(above, exact)
+
+
 def test_a_delay_between_steps_is_an_average():
     """2.25 steps late: three quarters of the command two steps old and a quarter of the one before it."""
     sim = delay()

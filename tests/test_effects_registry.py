@@ -226,6 +226,37 @@ def test_measurement_and_simulation_are_inverse():
         assert not np.allclose(e.to_measured(state, values), state)
 
 
+class EncoderScale(EncoderOffset):
+    """The encoder counts `scale` times too much."""
+
+    name = "encoder_scale"
+    quantities = (Quantity("scale", "-", 0.1, 10.0, neutral=1.0),)
+
+    def to_simulated(self, state, values):
+        out = np.array(state)
+        out[..., self.qposadr] /= values
+        return out
+
+    def to_measured(self, state, values):
+        out = np.array(state)
+        out[..., self.qposadr] *= values
+        return out
+
+
+def test_effects_on_the_measurement_are_undone_in_order():
+    """First effect outermost: measured = scale * angle + offset, when the offset comes first."""
+    chosen = [EncoderOffset("elbow", offset=(-1, 1)), EncoderScale("elbow", scale=(0.5, 2))]
+    sim = MujocoSimulator(load(DOUBLE_PENDULUM), None, chosen)
+    windows = make_windows(sim.model, 3, 5)
+    predicted = sim.predict([[0.3, 1.5]], windows)[0]
+    for n in range(3):
+        start = windows.start[n].copy()
+        start[1] = (start[1] - 0.3) / 1.5
+        expected = plain_rollout(sim.model, start, windows.ctrl[n], 1)
+        expected[:, 1] = expected[:, 1] * 1.5 + 0.3
+        np.testing.assert_allclose(predicted[n], expected, rtol=0, atol=1e-14)
+
+
 def test_an_effect_with_a_force_and_memory():
     """The plain loop with the same force; memory starts anew with every window, and neutral rows feel nothing."""
     sim = MujocoSimulator(load(DOUBLE_PENDULUM), None, [LaggingSpring("elbow", stiffness=(0, 50), rate=(1, 20))])

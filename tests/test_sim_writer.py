@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from nfpde.effects import effect
 from nfpde.errors import BadEffect, BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import ModelWriter, MujocoSimulator, load_model
@@ -332,3 +333,24 @@ def test_mujoco_counts_on_the_same_constants():
     batch.set_const()
     for field in ("body_invweight0", "dof_invweight0", "dof_M0", "body_subtreemass", "actuator_acc0"):
         np.testing.assert_array_equal(batch.expanded(field), rows[field])
+
+
+def test_nominal_values():
+    """What the model itself has: 1 for a ratio, NaN where the elements of one parameter differ, neutral effects."""
+    space = ParameterSpace(
+        [
+            Parameter("body_mass", "lower", 0.3, 1.5),
+            Parameter("dof_damping", "*", 0.0, 1.0),
+            Parameter("dof_damping", "*", 0.5, 2.0, relative=True, name="ratio"),
+            Parameter("opt.gravity", None, -11, -9, component=2),
+        ]
+    )
+    without_overlap = [ParameterSpace([p]) for p in space]
+    values = [ModelWriter(ARM, one).nominal_values()[0] for one in without_overlap]
+    np.testing.assert_array_equal(values, [ARM.body_mass[2], np.nan, 1.0, -9.81])
+    friction = effect("stribeck_friction", "elbow", coulomb=(0, 1), static=(0, 1), speed=(0.01, 1))
+    sim = MujocoSimulator(ARM, without_overlap[0], [friction])
+    windows = make_windows(ARM, 2, 3)
+    predicted = sim.predict(sim.nominal(), windows)[0]
+    for n in range(2):
+        np.testing.assert_array_equal(predicted[n], plain_rollout(sim.model, windows.start[n], windows.ctrl[n], 1))
