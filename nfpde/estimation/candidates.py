@@ -37,9 +37,9 @@ def next_beta(losses: Array, beta: float | None, channels: int, least_effective:
 
     exp(-l / beta) is a Gaussian likelihood with variance beta / 2 in each channel, and the maximisation step of EM
     for that variance is the responsibility-weighted mean squared error: beta = 2 E[l] / channels. It starts at the
-    mean over all samples and shrinks as the samples come to explain the transitions. With finitely many samples it
-    would not stop before one sample had all the weight, so it is raised until half of the transitions have
-    `least_effective` effective samples.
+    mean over all samples and shrinks as the samples come to explain the transitions. Where one sample explains a
+    transition much better than all others it would not stop before that one had all the weight, so it is raised
+    until half of the transitions have `least_effective` effective samples.
 
     Args:
         losses: of this batch, (M, N).
