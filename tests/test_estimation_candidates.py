@@ -130,6 +130,7 @@ def test_temperature_keeps_the_floor_and_no_more(floor):
     beta = None
     for _ in range(50):
         beta = next_beta(losses, beta, 2, floor)
+    assert beta is not None
     assert np.median(effective_samples(softmax(losses, beta))) >= floor
     # the bisection stops at a relative width of 1e-3
     assert np.median(effective_samples(softmax(losses, beta * (1 - 2e-3)))) < floor

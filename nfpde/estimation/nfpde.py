@@ -132,4 +132,4 @@ class NfpdeTrainer:
         self.optimizer.load_state_dict(restore_state(info["optimizer"], tensors))
         self.generator.set_state(tensors["generator"])
         self.rng.bit_generator.state = restore_state(info["rng"], {})
-        self.iteration, self.beta, self.history = info["iteration"], info["beta"], info["history"]
+        self.iteration, self.beta, self.history = info["iteration"], info["beta"], list(info["history"])
