@@ -195,7 +195,7 @@ def test_another_run_is_refused(tmp_path):
     """A folder belongs to one run; the message names what differs, with both values."""
     fit(simulator(), DATA, config=replace(TINY, iterations=1), out=tmp_path, quiet=True)
     narrow = ParameterSpace([Parameter("stiffness", low=1.0, high=8.0), SPACE[1]])
-    same: dict[str, Any] = {"config": replace(TINY, iterations=1), "seed": 0, "method": "softmax"}
+    same = {"config": replace(TINY, iterations=1), "seed": 0, "method": "softmax"}
     for changed, sim, data, texts in (
         ({"seed": 1}, simulator(), DATA, ["seed: saved 0, now 1"]),
         ({"method": "cai"}, simulator(), DATA, ['method: saved "softmax", now "cai"']),
@@ -208,8 +208,9 @@ def test_another_run_is_refused(tmp_path):
         ({}, simulator(), record(seed=1), [f'dataset: saved "{DATA.content_hash()}"']),
         ({}, simulator(space=narrow), DATA, ["space", "8.0"]),
     ):
+        arguments: dict[str, Any] = {**same, **changed}
         with pytest.raises(CheckpointMismatch) as caught:
-            fit(sim, data, **(same | changed), out=tmp_path, quiet=True)
+            fit(sim, data, **arguments, out=tmp_path, quiet=True)
         for text in (*texts, str(tmp_path), "another folder to start afresh"):
             assert text in str(caught.value)
 

@@ -62,6 +62,9 @@ def collect(
 
 def _record(env: MujocoEnv, name: str, steps: int, rng: np.random.Generator) -> Episode:
     env.reset(seed=int(rng.integers(2**31)))
+    # Gymnasium adds noise to quaternions too; a recorded one has length 1
+    mujoco.mj_normalizeQuat(env.model, env.data.qpos)
+    mujoco.mj_forward(env.model, env.data)
     space = env.action_space
     states, commands = [_state(env)], []
     ended = False
