@@ -3,6 +3,7 @@
 use crate::cost::Cost;
 use crate::error::OtError;
 use crate::masses::{Compensated, Masses};
+use crate::simd::{LeastSum, run};
 
 /// Potentials that satisfy `alpha[i] + beta[j] <= cost[i, j]` for every pair, in scaled units.
 #[derive(Clone, Debug)]
@@ -16,10 +17,11 @@ pub struct Potentials {
 /// Makes potentials feasible over all pairs: `alpha[i]` becomes the least `cost[i, j] - beta[j]`.
 pub fn tighten(cost: &dyn Cost, beta: Vec<f64>) -> Potentials {
     let mut row = vec![0.0; cost.cols()];
+    let minus_beta: Vec<f64> = beta.iter().map(|b| -b).collect();
     let alpha = (0..cost.rows())
         .map(|i| {
             cost.fill_row(i, &mut row);
-            row.iter().zip(&beta).fold(f64::INFINITY, |low, (c, b)| if c - b < low { c - b } else { low })
+            run(LeastSum(&row, &minus_beta)).0
         })
         .collect();
     Potentials { alpha, beta }

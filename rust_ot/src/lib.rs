@@ -3,14 +3,22 @@
 //! [`between_points`] and [`with_cost`] are the entry points; `python` is the only module that knows Python.
 #![deny(unsafe_code)]
 
+pub mod arcs;
+pub mod assignment;
 pub mod certificate;
+pub mod coarse_to_fine;
 pub mod cost;
 pub mod error;
 pub mod masses;
+pub mod matrix;
 pub mod network_simplex;
 pub mod one_dim;
+pub mod points;
 mod python;
+pub mod scan;
+mod simd;
 pub mod solution;
+pub mod sparse_assignment;
 pub mod transport;
 pub mod tree;
 pub mod watch;

@@ -1,6 +1,7 @@
 //! Network simplex over a full table of costs: the tree does the moves, whole blocks of rows are priced at once.
 
 use crate::error::OtError;
+use crate::simd::{LeastSum, run};
 use crate::tree::Tree;
 use crate::watch::Watch;
 
@@ -19,6 +20,13 @@ impl Tolerance {
         Self { floor: Self::SHARE * size, growth: 1.0, pivots_left: 200 * nodes as u64 + 10_000 }
     }
 
+    /// A tolerance for potentials of which nine tenths are no larger than its size.
+    pub fn of_potentials<'a>(potentials: impl Iterator<Item = &'a f64>) -> Self {
+        let mut values: Vec<f64> = potentials.map(|p| p.abs()).collect();
+        let (place, nodes) = (values.len() * 9 / 10, values.len());
+        Self::new(*values.select_nth_unstable_by(place, f64::total_cmp).1, nodes)
+    }
+
     const SHARE: f64 = 7.2e-15;
 
     /// Takes over the size of the potentials after they were computed again.
@@ -35,6 +43,12 @@ impl Tolerance {
             self.growth *= 4.0;
             self.adapt(tree);
         }
+    }
+
+    /// Whether a reduced cost, or one above it, can be negative beyond rounding for any numbers it is made of.
+    #[must_use]
+    pub fn may_be_negative(&self, reduced: f64) -> bool {
+        reduced < -self.floor
     }
 
     /// Whether a reduced cost made of these three numbers is negative beyond rounding.
@@ -98,19 +112,14 @@ fn price_rows(
 ) -> Option<(usize, usize, f64)> {
     let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());
     let mut best = (0.0, usize::MAX, usize::MAX);
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            for i in rows.clone() {
-                let (low, j) = row_minimum(&table.costs[i * table.cols..(i + 1) * table.cols], minus_v);
-                if low - u[i] < best.0 {
-                    best = (low - u[i], i, j);
-                }
-            }
-        },
-    );
+    for i in rows.clone() {
+        let (low, j) = run(LeastSum(&table.costs[i * table.cols..(i + 1) * table.cols], minus_v));
+        if low - u[i] < best.0 {
+            best = (low - u[i], i, j);
+        }
+    }
     let (reduced, i, j) = best;
-    if i == usize::MAX {
+    if i == usize::MAX || !tolerance.may_be_negative(reduced) {
         return None;
     }
     let cost = table.costs[i * table.cols + j];
@@ -126,36 +135,4 @@ fn price_rows(
         }
     }
     None
-}
-
-/// Least `cost + minus_v` of a row and its column.
-#[inline(always)]
-fn row_minimum(costs: &[f64], minus_v: &[f64]) -> (f64, usize) {
-    const WIDTH: usize = 64;
-    let mut best = f64::INFINITY;
-    let mut best_start = 0;
-    let mut start = 0;
-    let (cost_chunks, v_chunks) = (costs.chunks(WIDTH), minus_v.chunks(WIDTH));
-    for (c, v) in cost_chunks.zip(v_chunks) {
-        let mut lanes = [f64::INFINITY; 8];
-        for (c, v) in c.chunks_exact(8).zip(v.chunks_exact(8)) {
-            for lane in 0..8 {
-                let value = c[lane] + v[lane];
-                lanes[lane] = if value < lanes[lane] { value } else { lanes[lane] };
-            }
-        }
-        let done = c.len() / 8 * 8;
-        let mut low = lanes.iter().fold(f64::INFINITY, |a, &b| if b < a { b } else { a });
-        for (c, v) in c[done..].iter().zip(&v[done..]) {
-            low = if c + v < low { c + v } else { low };
-        }
-        if low < best {
-            best = low;
-            best_start = start;
-        }
-        start += WIDTH;
-    }
-    let end = (best_start + WIDTH).min(costs.len());
-    let place = (best_start..end).find(|&j| costs[j] + minus_v[j] <= best);
-    (best, place.unwrap_or(best_start))
 }

@@ -4,7 +4,8 @@ use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntyped
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::cost::{Matrix, Metric};
+use crate::cost::Metric;
+use crate::matrix::Matrix;
 use crate::{OtError, Solution, between_points, with_cost};
 
 type Weights<'py> = Option<PyReadonlyArray1<'py, f64>>;

@@ -1,11 +1,12 @@
 //! Chooses the method for a problem and runs it.
 
 use crate::certificate::{Potentials, tighten};
-use crate::cost::{Cost, Metric, Points};
+use crate::coarse_to_fine;
+use crate::cost::{Cost, Metric};
 use crate::error::OtError;
 use crate::masses::{Masses, integer_masses};
-use crate::network_simplex::{self, Table};
 use crate::one_dim;
+use crate::points::Points;
 use crate::solution::{Solution, conclude};
 use crate::watch::Watch;
 
@@ -47,63 +48,36 @@ pub fn with_cost(
 ) -> Result<Solution, OtError> {
     let (a, b) = weights;
     let masses = integer_masses(a, b, cost.rows(), cost.cols())?;
-    let core = Core::new(&masses);
     let pivots = 1_000_000 + 2_000 * (cost.rows() + cost.cols()) as u64;
-    let (arcs, potentials) = solve_table(cost, &core, &mut Watch::new(go_on, pivots))?;
+    let (arcs, potentials) = solve_core(cost, &masses, &mut Watch::new(go_on, pivots))?;
     conclude(cost, arcs, potentials, a, b, &masses)
-}
-
-/// The atoms that have mass.
-struct Core {
-    rows: Vec<usize>,
-    cols: Vec<usize>,
-    row_masses: Vec<i64>,
-    col_masses: Vec<i64>,
-}
-
-impl Core {
-    fn new(masses: &Masses) -> Self {
-        let heavy = |side: &[i64]| -> Vec<usize> { (0..side.len()).filter(|&i| side[i] > 0).collect() };
-        let (rows, cols) = (heavy(&masses.rows), heavy(&masses.cols));
-        let row_masses = rows.iter().map(|&i| masses.rows[i]).collect();
-        let col_masses = cols.iter().map(|&j| masses.cols[j]).collect();
-        Self { rows, cols, row_masses, col_masses }
-    }
 }
 
 type Arcs = Vec<(usize, usize, i64)>;
 
-fn solve_table(cost: &dyn Cost, core: &Core, watch: &mut Watch<'_>) -> Result<(Arcs, Potentials), OtError> {
-    let (n, m) = (core.rows.len(), core.cols.len());
-    let mut costs = Vec::with_capacity(n * m);
-    let mut row = vec![0.0; cost.cols()];
-    for &i in &core.rows {
-        cost.fill_row(i, &mut row);
-        costs.extend(core.cols.iter().map(|&j| row[j]));
+/// Solves for the atoms that have mass, and gives the others potentials that fit.
+fn solve_core(cost: &dyn Cost, masses: &Masses, watch: &mut Watch<'_>) -> Result<(Arcs, Potentials), OtError> {
+    let heavy = |side: &[i64]| -> Vec<usize> { (0..side.len()).filter(|&i| side[i] > 0).collect() };
+    let (rows, cols) = (heavy(&masses.rows), heavy(&masses.cols));
+    if rows.len() == cost.rows() && cols.len() == cost.cols() {
+        let best = coarse_to_fine::solve(cost, &masses.rows, &masses.cols, false, watch)?;
+        return Ok((best.arcs, tighten(cost, best.v)));
     }
-    let table = Table { costs: &costs, cols: m };
-    let tree = network_simplex::solve(table, &core.row_masses, &core.col_masses, cost.bound(), watch)?;
-    let arcs = tree.arcs().map(|(i, j, mass)| (core.rows[i], core.cols[j], mass)).collect();
-    let u: Vec<f64> = tree.row_potentials().to_vec();
-    let v: Vec<f64> = tree.col_potentials_negated().iter().map(|v| -v).collect();
-    Ok((arcs, tighten(cost, extend(cost, core, &u, &v))))
-}
-
-/// Potentials of all columns from those of the columns with mass.
-fn extend(cost: &dyn Cost, core: &Core, u: &[f64], v: &[f64]) -> Vec<f64> {
+    let part = cost.subset(&rows, &cols);
+    let row_masses: Vec<i64> = rows.iter().map(|&i| masses.rows[i]).collect();
+    let col_masses: Vec<i64> = cols.iter().map(|&j| masses.cols[j]).collect();
+    let best = coarse_to_fine::solve(&*part, &row_masses, &col_masses, false, watch)?;
+    let arcs = best.arcs.iter().map(|&(i, j, mass)| (rows[i], cols[j], mass)).collect();
     let mut beta = vec![f64::INFINITY; cost.cols()];
-    for (&j, &v) in core.cols.iter().zip(v) {
-        beta[j] = v;
-    }
-    if core.cols.len() < cost.cols() {
-        let mut row = vec![0.0; cost.cols()];
-        let empty: Vec<usize> = (0..cost.cols()).filter(|&j| beta[j] == f64::INFINITY).collect();
-        for (&i, &u) in core.rows.iter().zip(u) {
-            cost.fill_row(i, &mut row);
-            for &j in &empty {
-                beta[j] = beta[j].min(row[j] - u);
-            }
+    let mut row_costs = vec![0.0; cost.cols()];
+    for (&i, &u) in rows.iter().zip(&best.u) {
+        cost.fill_row(i, &mut row_costs);
+        for (beta, c) in beta.iter_mut().zip(&row_costs) {
+            *beta = beta.min(c - u);
         }
     }
-    beta
+    for (&j, &v) in cols.iter().zip(&best.v) {
+        beta[j] = v;
+    }
+    Ok((arcs, tighten(cost, beta)))
 }

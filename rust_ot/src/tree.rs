@@ -58,6 +58,100 @@ impl Tree {
         }
     }
 
+    /// A tree from a forest of arcs with flow, completed by artificial arcs.
+    ///
+    /// At most one node of each part of the forest may have mass that its arcs (`row, column, cost, flow`) leave
+    /// over; that node hangs under the root. `artificial` holds the cost of the artificial arc of every node.
+    #[must_use]
+    pub fn from_forest(rows: &[i64], cols: &[i64], arcs: &[(u32, u32, f64, i64)], artificial: &[f64]) -> Self {
+        let mut tree = Self::star(rows, cols, 0.0);
+        let (n, nodes) = (rows.len(), rows.len() + cols.len());
+        let mut left: Vec<i64> = rows.iter().chain(cols).copied().collect();
+        let mut starts = vec![0u32; nodes + 1];
+        for &(i, j, _, flow) in arcs {
+            for v in [i as usize, n + j as usize] {
+                starts[v + 1] += 1;
+                left[v] -= flow;
+            }
+        }
+        for v in 0..nodes {
+            starts[v + 1] += starts[v];
+        }
+        let mut fill = starts.clone();
+        let mut neighbours = vec![(0u32, 0u32); 2 * arcs.len()];
+        for (k, &(i, j, ..)) in arcs.iter().enumerate() {
+            for (v, w) in [(i, n as u32 + j), (n as u32 + j, i)] {
+                neighbours[fill[v as usize] as usize] = (w, k as u32);
+                fill[v as usize] += 1;
+            }
+        }
+        let mut order = Vec::with_capacity(nodes);
+        let mut seen = vec![false; nodes];
+        let mut stack = Vec::new();
+        // Nodes with mass left hang under the root; a part without such a node hangs by any of its rows.
+        let tops = (0..nodes).filter(|&v| left[v] > 0).chain(0..n).collect::<Vec<_>>();
+        for top in tops {
+            if seen[top] {
+                continue;
+            }
+            seen[top] = true;
+            tree.cost[top] = artificial[top];
+            tree.flow[top] = left[top];
+            stack.push(top);
+            while let Some(v) = stack.pop() {
+                order.push(v);
+                for &(w, k) in &neighbours[starts[v] as usize..starts[v + 1] as usize] {
+                    let w = w as usize;
+                    if !seen[w] {
+                        seen[w] = true;
+                        tree.parent[w] = v as u32;
+                        (tree.cost[w], tree.flow[w]) = (arcs[k as usize].2, arcs[k as usize].3);
+                        stack.push(w);
+                    }
+                }
+            }
+        }
+        tree.thread(&order);
+        tree.refresh_potentials();
+        tree
+    }
+
+    /// Sets the links and counts of a tree whose parents are given, from its preorder without the root.
+    fn thread(&mut self, order: &[usize]) {
+        let root = self.n + self.m;
+        self.size.fill(1);
+        let mut before = root;
+        for &v in order {
+            self.next[before] = v as u32;
+            self.prev[v] = before as u32;
+            self.last[v] = v as u32;
+            before = v;
+        }
+        self.next[before] = root as u32;
+        self.prev[root] = before as u32;
+        self.last[root] = before as u32;
+        for &v in order.iter().rev() {
+            let up = self.parent[v] as usize;
+            self.size[up] += self.size[v];
+            let last = self.last[v];
+            if self.last[up] as usize == up || self.size[up] == self.size[v] + 1 {
+                self.last[up] = last;
+            }
+        }
+        self.last[root] = before as u32;
+    }
+
+    /// Makes the artificial arcs of the tree dearer, and computes the potentials again.
+    pub fn raise_artificial(&mut self, by: f64) {
+        let root = (self.n + self.m) as u32;
+        for v in 0..self.n + self.m {
+            if self.parent[v] == root {
+                self.cost[v] += by;
+            }
+        }
+        self.refresh_potentials();
+    }
+
     /// Potentials of the rows.
     #[must_use]
     pub fn row_potentials(&self) -> &[f64] {
@@ -324,6 +418,18 @@ impl Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_forest_becomes_a_sound_tree() {
+        let (rows, cols) = (vec![3, 4, 2, 5], vec![3, 2, 6, 3]);
+        let arcs = [(0, 0, 1.0, 3), (1, 1, 2.0, 2), (1, 2, 0.5, 2), (3, 2, 1.5, 4)];
+        let tree = Tree::from_forest(&rows, &cols, &arcs, &[9.0; 8]);
+        assert!(tree.is_sound(&rows, &cols));
+        for &(i, j, cost, _) in &arcs {
+            assert!((cost - tree.pi[i as usize] + tree.pi[4 + j as usize]).abs() < 1e-12);
+        }
+        assert_eq!(tree.artificial_mass(), 3);
+    }
 
     #[test]
     fn links_flows_and_counts_stay_sound_over_many_pivots() {

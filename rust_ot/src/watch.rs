@@ -17,6 +17,12 @@ impl<'a> Watch<'a> {
         Self { go_on, steps: 0, limit }
     }
 
+    /// Steps so far.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
     /// Counts one step.
     ///
     /// # Errors

@@ -1,7 +1,9 @@
 //! Small problems against all permutations, and what every answer must satisfy.
 
 use proptest::prelude::*;
-use rust_ot::cost::{Cost, Matrix, Metric, Points};
+use rust_ot::cost::{Cost, Metric};
+use rust_ot::matrix::Matrix;
+use rust_ot::points::Points;
 use rust_ot::{OtError, Solution, between_points, with_cost};
 
 fn least_assignment(costs: &[f64], n: usize) -> f64 {

@@ -1,0 +1,167 @@
+//! Costs as distances between points, computed whenever they are asked for.
+
+use crate::cost::{Cost, Metric};
+use crate::error::{OtError, bad};
+use crate::masses::{exponent_of, times_power_of_two};
+use crate::simd::{LANES, vectorized};
+
+/// Two sets of points; costs are direct differences in `f64`, never expanded squares.
+#[derive(Clone, Debug)]
+pub struct Points {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    /// The columns again, in blocks of [`LANES`] points with one coordinate after the other.
+    blocks: Vec<f64>,
+    dim: usize,
+    metric: Metric,
+    shift: i32,
+    bound: f64,
+}
+
+impl Points {
+    /// Checks and scales the points by a power of two, which is exact; `x` is `(n, dim)`, `y` is `(m, dim)`.
+    ///
+    /// # Errors
+    /// `BadInput` for an empty set or a coordinate that is not finite.
+    pub fn new(x: &[f64], y: &[f64], dim: usize, metric: Metric) -> Result<Self, OtError> {
+        let largest = largest_coordinate("x", x, dim)?.max(largest_coordinate("y", y, dim)?);
+        let shift = if largest > 0.0 { exponent_of(largest) + 1 } else { 0 };
+        let scale = |values: &[f64]| -> Vec<f64> { values.iter().map(|&v| times_power_of_two(v, -shift)).collect() };
+        let (x, y) = (scale(x), scale(y));
+        let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); dim];
+        for point in x.chunks_exact(dim).chain(y.chunks_exact(dim)) {
+            for (&value, (low, high)) in point.iter().zip(&mut reach) {
+                *low = low.min(value);
+                *high = high.max(value);
+            }
+        }
+        let zero = vec![0.0; dim];
+        let sides: Vec<f64> = reach.iter().map(|(low, high)| high - low).collect();
+        let bound = distance(&sides, &zero, metric);
+        Ok(Self::assemble(x, y, dim, metric, shift, bound))
+    }
+
+    fn assemble(x: Vec<f64>, y: Vec<f64>, dim: usize, metric: Metric, shift: i32, bound: f64) -> Self {
+        let m = y.len() / dim;
+        let mut blocks = vec![0.0; m.div_ceil(LANES) * LANES * dim];
+        for (j, point) in y.chunks_exact(dim).enumerate() {
+            for (k, &value) in point.iter().enumerate() {
+                blocks[j / LANES * LANES * dim + k * LANES + j % LANES] = value;
+            }
+        }
+        Self { x, y, blocks, dim, metric, shift, bound }
+    }
+
+    /// The scaled coordinates of both sets.
+    #[must_use]
+    pub fn scaled(&self) -> (&[f64], &[f64]) {
+        (&self.x, &self.y)
+    }
+
+    fn row(&self, row: usize) -> &[f64] {
+        &self.x[row * self.dim..(row + 1) * self.dim]
+    }
+
+    fn col(&self, col: usize) -> &[f64] {
+        &self.y[col * self.dim..(col + 1) * self.dim]
+    }
+}
+
+/// Checks a set of points and gives its largest absolute coordinate.
+pub(crate) fn largest_coordinate(name: &str, points: &[f64], dim: usize) -> Result<f64, OtError> {
+    if dim == 0 || points.is_empty() {
+        return Err(bad(format!("{name} is empty: give at least one point with one coordinate")));
+    }
+    if let Some(place) = points.iter().position(|v| !v.is_finite()) {
+        let (row, column) = (place / dim, place % dim);
+        return Err(bad(format!("{name}[{row}, {column}] is {}: coordinates must be finite", points[place])));
+    }
+    Ok(points.iter().fold(0.0, |largest: f64, v| largest.max(v.abs())))
+}
+
+/// Sums in the order of the coordinates, as [`fill`] does, so that both give the same bits.
+#[inline(always)]
+fn distance(x: &[f64], y: &[f64], metric: Metric) -> f64 {
+    let mut sum = 0.0;
+    for (a, b) in x.iter().zip(y) {
+        let t = a - b;
+        sum += if metric == Metric::CityBlock { t.abs() } else { t * t };
+    }
+    if metric == Metric::Euclidean { sum.sqrt() } else { sum }
+}
+
+/// Distances of one point from blocks of points.
+#[inline(always)]
+fn fill<const ABSOLUTE: bool, const ROOT: bool>(x: &[f64], blocks: &[f64], out: &mut [f64]) {
+    for (out, block) in out.chunks_mut(LANES).zip(blocks.chunks_exact(LANES * x.len())) {
+        let mut sums = [0.0; LANES];
+        let (coordinates, _) = block.as_chunks::<LANES>();
+        for (&a, coordinates) in x.iter().zip(coordinates) {
+            for lane in 0..LANES {
+                let t = a - coordinates[lane];
+                sums[lane] += if ABSOLUTE { t.abs() } else { t * t };
+            }
+        }
+        if ROOT {
+            for sum in &mut sums {
+                *sum = sum.sqrt();
+            }
+        }
+        if let Ok(out) = <&mut [f64; LANES]>::try_from(&mut *out) {
+            *out = sums;
+        } else {
+            out.copy_from_slice(&sums[..out.len()]);
+        }
+    }
+}
+
+impl Cost for Points {
+    fn rows(&self) -> usize {
+        self.x.len() / self.dim
+    }
+
+    fn cols(&self) -> usize {
+        self.y.len() / self.dim
+    }
+
+    fn at(&self, row: usize, col: usize) -> f64 {
+        distance(self.row(row), self.col(col), self.metric)
+    }
+
+    fn fill_row(&self, row: usize, out: &mut [f64]) {
+        let (x, blocks) = (self.row(row), &self.blocks[..]);
+        vectorized!(match self.metric {
+            Metric::Euclidean => fill::<false, true>(x, blocks, out),
+            Metric::SqEuclidean => fill::<false, false>(x, blocks, out),
+            Metric::CityBlock => fill::<true, false>(x, blocks, out),
+        });
+    }
+
+    fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_> {
+        let x = rows.iter().flat_map(|&i| self.row(i)).copied().collect();
+        let y = cols.iter().flat_map(|&j| self.col(j)).copied().collect();
+        Box::new(Self::assemble(x, y, self.dim, self.metric, self.shift, self.bound))
+    }
+
+    fn bound(&self) -> f64 {
+        self.bound
+    }
+
+    fn unscaled(&self, row: usize, col: usize) -> f64 {
+        let (x, y) = (self.row(row), self.col(col));
+        let largest = x.iter().zip(y).fold(0.0_f64, |largest, (a, b)| largest.max((a - b).abs()));
+        if largest == 0.0 {
+            return 0.0;
+        }
+        // A second exact scaling keeps squares of very small differences from vanishing.
+        let shift = exponent_of(largest);
+        let lift = |values: &[f64]| -> Vec<f64> { values.iter().map(|&v| times_power_of_two(v, -shift)).collect() };
+        let value = distance(&lift(x), &lift(y), self.metric);
+        let power = if self.metric == Metric::SqEuclidean { 2 } else { 1 };
+        times_power_of_two(value, power * (shift + self.shift))
+    }
+
+    fn exponent(&self) -> i32 {
+        if self.metric == Metric::SqEuclidean { 2 * self.shift } else { self.shift }
+    }
+}

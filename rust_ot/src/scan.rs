@@ -1,0 +1,197 @@
+//! Passes over all pairs: the cheapest arcs of every row, and the search for arcs that a solution missed.
+
+use pulp::{Simd, WithSimd};
+use rayon::prelude::*;
+
+use crate::cost::Cost;
+use crate::simd::{ColumnBest, Improve, Sum, run};
+
+/// Pairs that are compared at once.
+const CHUNK: usize = 64;
+
+/// A candidate arc: reduced cost, column, cost.
+pub type Candidate = (f64, u32, f64);
+
+/// What a pass over the rows found.
+#[derive(Clone, Debug)]
+pub struct Pass {
+    /// Least `cost - v` of each row.
+    pub row_minimum: Vec<f64>,
+    /// Arcs of each row.
+    pub arcs: Vec<Vec<Candidate>>,
+    /// For each column the row with the least reduced cost, with the cost of that arc; empty when not asked for.
+    pub col_best: Vec<(u32, f64)>,
+}
+
+/// Scratch memory of one thread.
+struct Scratch {
+    costs: Vec<f64>,
+    reduced: Vec<f64>,
+    chunk_minimum: Vec<f64>,
+    found: Vec<Candidate>,
+    width: f64,
+}
+
+impl Scratch {
+    fn new(cols: usize) -> Self {
+        Self {
+            costs: vec![0.0; cols],
+            reduced: vec![0.0; cols],
+            chunk_minimum: vec![0.0; cols.div_ceil(CHUNK)],
+            found: Vec::new(),
+            width: 0.0,
+        }
+    }
+
+    /// Computes the reduced costs of a row and gives the least.
+    fn load(&mut self, cost: &dyn Cost, row: usize, minus_v: &[f64]) -> f64 {
+        cost.fill_row(row, &mut self.costs);
+        run(Reduce { costs: &self.costs, minus_v, reduced: &mut self.reduced, chunk_minimum: &mut self.chunk_minimum })
+    }
+
+    /// The columns whose reduced cost lies below a limit.
+    fn collect(&mut self, limit: f64) {
+        self.found.clear();
+        for (chunk, &low) in self.chunk_minimum.iter().enumerate() {
+            if low < limit {
+                let end = ((chunk + 1) * CHUNK).min(self.reduced.len());
+                for j in chunk * CHUNK..end {
+                    if self.reduced[j] < limit {
+                        self.found.push((self.reduced[j], j as u32, self.costs[j]));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Keeps the `count` least candidates (ties by column), sorted.
+    fn keep(&mut self, count: usize) {
+        let order = |a: &Candidate, b: &Candidate| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        if self.found.len() > count {
+            self.found.select_nth_unstable_by(count - 1, order);
+            self.found.truncate(count);
+        }
+        self.found.sort_unstable_by(order);
+    }
+
+    /// The `count` cheapest columns of the loaded row.
+    fn cheapest(&mut self, low: f64, count: usize) {
+        let count = count.min(self.reduced.len());
+        if self.width <= 0.0 {
+            self.width = low.abs().max(f64::MIN_POSITIVE) * 1e-3;
+        }
+        loop {
+            let limit = low + self.width;
+            self.collect(if limit > low { limit } else { f64::INFINITY });
+            if self.found.len() >= count {
+                break;
+            }
+            self.width *= 1.6;
+        }
+        if self.found.len() > 4 * count {
+            self.width *= 0.7;
+        }
+        self.keep(count);
+    }
+}
+
+/// `reduced = costs + minus_v`, the least of each chunk, and the least of all.
+struct Reduce<'a> {
+    costs: &'a [f64],
+    minus_v: &'a [f64],
+    reduced: &'a mut [f64],
+    chunk_minimum: &'a mut [f64],
+}
+
+impl WithSimd for Reduce<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let mut least = f64::INFINITY;
+        let chunks = self.costs.chunks(CHUNK).zip(self.minus_v.chunks(CHUNK)).zip(self.reduced.chunks_mut(CHUNK));
+        for (((c, v), r), chunk_minimum) in chunks.zip(self.chunk_minimum) {
+            *chunk_minimum = Sum(c, v, r).run(simd);
+            least = if *chunk_minimum < least { *chunk_minimum } else { least };
+        }
+        least
+    }
+}
+
+/// Rows that one task handles.
+const ROWS_A_TASK: usize = 64;
+
+/// Runs `task` over blocks of rows, on the threads of the current pool, and joins the parts in order.
+fn over_rows<T: Send>(n: usize, parallel: bool, task: impl Fn(std::ops::Range<usize>) -> T + Sync) -> Vec<T> {
+    let size = if parallel { ROWS_A_TASK.max(n / 64) } else { n.max(1) };
+    let range = |block: usize| block * size..((block + 1) * size).min(n);
+    if parallel {
+        (0..n.div_ceil(size)).into_par_iter().map(|block| task(range(block))).collect()
+    } else {
+        vec![task(0..n)]
+    }
+}
+
+/// The `count` arcs of least reduced cost of every row, and the best row of every column.
+pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, parallel: bool) -> Pass {
+    let m = cost.cols();
+    let parts = over_rows(cost.rows(), parallel, |rows| {
+        let mut scratch = Scratch::new(m);
+        let mut best = ColumnBest::new(m);
+        let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+        for row in rows {
+            let low = scratch.load(cost, row, minus_v);
+            scratch.cheapest(low, count);
+            minima.push(low);
+            arcs.push(scratch.found.clone());
+            run(Improve { best: &mut best, reduced: &scratch.reduced, costs: &scratch.costs, low, row: row as f64 });
+        }
+        (minima, arcs, best)
+    });
+    let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: vec![(0, 0.0); m] };
+    let mut slack = vec![f64::INFINITY; m];
+    for (minima, arcs, best) in parts {
+        pass.row_minimum.extend(minima);
+        pass.arcs.extend(arcs);
+        for (j, slack) in slack.iter_mut().enumerate() {
+            if best.slack[j] < *slack {
+                *slack = best.slack[j];
+                pass.col_best[j] = (best.row[j] as u32, best.cost[j]);
+            }
+        }
+    }
+    pass
+}
+
+/// The most negative arcs of every row, at most `count` each; `negative` judges `(reduced, row, column, cost)`.
+pub fn violated(
+    cost: &dyn Cost,
+    u: &[f64],
+    minus_v: &[f64],
+    count: usize,
+    negative: impl Fn(f64, usize, usize, f64) -> bool + Sync,
+    parallel: bool,
+) -> Pass {
+    let parts = over_rows(cost.rows(), parallel, |rows| {
+        let mut scratch = Scratch::new(cost.cols());
+        let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+        for row in rows {
+            let low = scratch.load(cost, row, minus_v);
+            minima.push(low);
+            scratch.found.clear();
+            if low < u[row] {
+                scratch.collect(u[row]);
+                scratch.found.retain(|&(r, col, c)| negative(r - u[row], row, col as usize, c));
+                scratch.keep(count);
+            }
+            arcs.push(scratch.found.clone());
+        }
+        (minima, arcs)
+    });
+    let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: Vec::new() };
+    for (minima, arcs) in parts {
+        pass.row_minimum.extend(minima);
+        pass.arcs.extend(arcs);
+    }
+    pass
+}
