@@ -15,7 +15,7 @@ from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect, BadInput, NfpdeError
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import MujocoSimulator
-from nfpde.sim.writer import get_field, set_field
+from nfpde.sim.fields import get_field, set_field
 
 Array = NDArray[np.float64]
 

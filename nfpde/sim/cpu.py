@@ -17,13 +17,14 @@ from nfpde.effects import Effect, effects_in
 from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import BoundEffects
+from nfpde.sim.fields import get_field
 from nfpde.sim.matching import match_dataset
 from nfpde.sim.model import load_model, model_hash
 from nfpde.sim.probe import refuse_inert
 from nfpde.sim.quiet import quiet_mujoco
 from nfpde.sim.simulator import Array, Simulator, rows_at_once
 from nfpde.sim.states import StateSpace
-from nfpde.sim.writer import ModelWriter, get_field
+from nfpde.sim.writer import ModelWriter
 
 
 class MujocoSimulator(Simulator):

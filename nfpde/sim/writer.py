@@ -4,48 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.effects import Effect, effect_names
+from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
-from nfpde.elements import element_ids, element_names, joint_dofs, joint_qpos
 from nfpde.errors import BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.sim.fields import array_fields, get_field, set_field
+from nfpde.sim.slots import slots_of
 
 Array = NDArray[np.float64]
-
-_KIND_OF_PREFIX = {
-    "body": "body",
-    "jnt": "joint",
-    "dof": "joint",
-    "qpos0": "joint",
-    "qpos": "joint",
-    "geom": "geom",
-    "site": "site",
-    "tendon": "tendon",
-    "actuator": "actuator",
-    "eq": "equality",
-}
-_DERIVED = ("M0", "invweight0", "subtreemass", "acc0", "length0", "lengthrange", "rbound", "aabb", "sameframe")
-
-
-@dataclass(frozen=True)
-class _Slot:
-    """Where one parameter is written: entries `index` of a field, whose own values are `nominal`.
-
-    inertia: of the bodies whose mass it is and whose inertia follows, (n, 3), or None
-    """
-
-    parameter: Parameter
-    index: tuple[NDArray[np.intp] | int, ...]
-    nominal: Array
-    inertia: Array | None = None
 
 
 class _Scratch:
@@ -90,8 +62,7 @@ class ModelWriter:
     def __init__(self, model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect] = ()) -> None:
         self.nominal = copy.copy(model)
         self.nbase = 0 if space is None else len(space)
-        self._slots = [_slot(self.nominal, p) for p in space] if space is not None else []
-        _refuse_overlap(self._slots)
+        self._slots = slots_of(self.nominal, space)
         self._effects: list[tuple[Effect, slice]] = []
         column = self.nbase
         for e in effects:
@@ -156,7 +127,7 @@ class ModelWriter:
         """Every field that differs from nominal under some parameter vector, derived constants included."""
         if not parameters:
             return []
-        before = {f: np.array(get_field(self.nominal, f)) for f in _array_fields(self.nominal)}
+        before = {f: np.array(get_field(self.nominal, f)) for f in array_fields(self.nominal)}
         low, high = (np.array([getattr(p, side) for p in parameters]) for side in ("low", "high"))
         changed: set[str] = set()
         # irregular places in the box: a value that happens to be the model's own would hide its field
@@ -168,93 +139,3 @@ class ModelWriter:
             if slot.parameter.field not in changed:
                 raise BadParameter(f"{slot.parameter.name}: no value within its bounds differs from the model's own")
         return sorted(changed)
-
-
-def get_field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
-    """A live view of an mjModel field, or of an mjOption field for `opt.<name>`; a scalar option has shape ()."""
-    if name.startswith("opt."):
-        return np.asarray(getattr(model.opt, name[4:]))
-    return getattr(model, name)
-
-
-def set_field(model: mujoco.MjModel, name: str, value: NDArray[Any]) -> None:
-    """Copy a value into a field of `get_field`."""
-    if name.startswith("opt.") and np.ndim(value) == 0:
-        setattr(model.opt, name[4:], value.item())
-    else:
-        get_field(model, name)[...] = value
-
-
-def _array_fields(model: mujoco.MjModel) -> list[str]:
-    skip = ("tex", "mesh", "hfield", "skin", "mat_", "light", "cam", "name", "key_", "flex", "plugin")
-    names = [f for f in mujoco.batch.MODEL_FIELDS if not f.startswith(skip)]
-    return [f for f in names if isinstance(get_field(model, f), np.ndarray)]
-
-
-def _slot(model: mujoco.MjModel, p: Parameter) -> _Slot:
-    if p.field.startswith("opt."):
-        values = np.asarray(getattr(model.opt, p.field[4:], None))
-        if p.field not in mujoco.batch.MODEL_FIELDS or values.dtype.kind != "f":
-            options = sorted(f for f in mujoco.batch.MODEL_FIELDS if f.startswith("opt."))
-            raise BadParameter(f"{p.name}: {p.field!r} is no real-valued option; MuJoCo has: {', '.join(options)}")
-        if p.target is not None:
-            raise BadParameter(f"{p.name}: an option belongs to no element; leave the target out")
-        component = _component(p, values.size)
-        index = (np.array([component]),) if values.ndim else ()
-        return _Slot(p, index, values[index].copy())
-    prefix = p.field.split("_")[0]
-    kind = _KIND_OF_PREFIX.get(prefix, "")
-    array = getattr(model, p.field, None) if kind else None
-    if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
-        close = sorted(
-            f for f in _array_fields(model) if prefix == f.split("_")[0] and get_field(model, f).dtype.kind == "f"
-        )
-        hint = (
-            f"; fields of that family: {', '.join(close)}" if close else f"; or an effect: {', '.join(effect_names())}"
-        )
-        raise BadParameter(f"{p.name}: {p.field!r} is no real-valued mjModel field of an element{hint}")
-    if p.field.endswith(_DERIVED):
-        raise BadParameter(f"{p.name}: MuJoCo derives {p.field} from other fields; vary those")
-    if p.target is None:
-        names = ", ".join(element_names(model, kind)[:40])
-        raise BadParameter(f"{p.name}: give a target, the {kind} it belongs to; the model has: {names}")
-    ids = element_ids(model, kind, p.target, p.name)
-    if prefix == "dof":
-        ids = joint_dofs(model, ids)
-    elif prefix.startswith("qpos"):
-        ids = joint_qpos(model, ids)
-    index = (ids,) if array.ndim == 1 else (ids, _component(p, array.shape[1]))
-    if array.ndim == 1 and p.component:
-        raise BadParameter(f"{p.name}: {p.field} has one number per element, so component must be 0")
-    nominal = np.array(array[index], dtype=np.float64)
-    needs_nominal = p.relative or (p.field == "body_mass" and p.scale_inertia)
-    if needs_nominal and not (nominal != 0).all():
-        raise BadParameter(
-            f"{p.name}: the model's own value is 0, so it cannot be scaled"
-            + ("" if p.relative else "; a mass without inertia: set scale_inertia=False or give the body a mass")
-        )
-    inertia = np.array(model.body_inertia[ids]) if p.field == "body_mass" and p.scale_inertia else None
-    return _Slot(p, index, nominal, inertia)
-
-
-def _component(p: Parameter, size: int) -> int:
-    if p.component >= size:
-        raise BadParameter(f"{p.name}: {p.field} has {size} numbers, so component must be below {size}")
-    return p.component
-
-
-def _refuse_overlap(slots: Sequence[_Slot]) -> None:
-    owner: dict[tuple[str, int, int], str] = {}
-    for slot in slots:
-        p = slot.parameter
-        written = [(p.field, p.component)]
-        if p.field == "body_mass" and p.scale_inertia:
-            written += [("body_inertia", axis) for axis in range(3)]
-        for element in np.atleast_1d(slot.index[0]) if slot.index else [0]:
-            for field, component in written:
-                other = owner.setdefault((field, int(element), component), p.name)
-                if other != p.name:
-                    raise BadParameter(
-                        f"{p.name} and {other} both write {field}; drop one or split the targets"
-                        + (" (a mass scales the inertia unless scale_inertia=False)" if field == "body_inertia" else "")
-                    )
