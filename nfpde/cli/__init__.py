@@ -47,7 +47,7 @@ def main() -> None:
     try:
         app()
     except NfpdeError as error:
-        print(f"nfpde: {error}", file=sys.stderr)
+        print(f"nfpde: {error}".rstrip(), file=sys.stderr)  # a message of MuJoCo's ends with empty lines
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""

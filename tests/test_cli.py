@@ -1,0 +1,347 @@
+"""The command line: the whole pipeline in a folder, help, errors in one line, Ctrl-C."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from typing import Any
+from unittest import mock
+
+import matplotlib.image
+import numpy as np
+import pytest
+import typer
+
+from nfpde.cli import app, main
+from nfpde.dataset import load_dataset
+from nfpde.distribution import ParameterDistribution
+from nfpde.estimation import FitResult
+from nfpde.flow import build_flow
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.truth import Truth
+from tests.models import PENDULUM
+
+SIZES = {"iterations": 3, "samples": 30, "transitions": 8, "gradient-steps": 2, "transforms": 2, "hidden": 8}
+TINY = ["--quiet", *(text for name, value in SIZES.items() for text in (f"--{name}", str(value)))]
+
+
+def run(*arguments):
+    """Exit status, standard output and standard error of `nfpde ARGUMENTS`."""
+    out, err = StringIO(), StringIO()
+    argv = ["nfpde", *map(str, arguments)]
+    with mock.patch.object(sys, "argv", argv), redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code or 0
+    return status, out.getvalue(), err.getvalue()
+
+
+def plain(text):
+    """Words of a text without the frames around it."""
+    return " ".join(text.translate(dict.fromkeys(map(ord, "│╭╮╰╯─"), " ")).split())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Recordings of three Hoppers, a fit and its evaluation."""
+    home = tmp_path_factory.mktemp("cli")
+    steps = [
+        ("collect", "hopper", "--out", home / "data", "--episodes", 3, "--steps", 30, "--target", "mixture"),
+        ("fit", "hopper", home / "data", "--out", home / "fit", *TINY),
+        ("evaluate", home / "fit", "--truth", home / "data" / "truth.json", "--samples", 50),
+    ]
+    for arguments in steps:
+        status, out, err = run(*arguments)
+        assert (status, err) == (0, ""), (arguments[0], err)
+        (home / f"{arguments[0]}.txt").write_text(out)
+    return home
+
+
+def test_collect(folder):
+    """Recordings, the truth apart from them, and the parameters, each readable by the library."""
+    dataset = load_dataset(folder / "data" / "data.npz")
+    truth = Truth.load(folder / "data" / "truth.json")
+    space = ParameterSpace.from_toml(folder / "data" / "parameters.toml")
+    assert len(dataset) == len(truth.xi) == 3
+    assert truth.space == space
+    assert len(space) == 6
+    assert sorted(p.name for p in (folder / "data").iterdir()) == ["data.npz", "parameters.toml", "truth.json"]
+    out = (folder / "collect.txt").read_text()
+    assert "3 episodes" in out
+    assert all(name in out for name in ("data.npz", "truth.json", "parameters.toml"))
+
+
+def test_fit(folder):
+    """The distribution within its bounds, settings as given, both pictures; each file is named in the output."""
+    result = FitResult.load(folder / "fit")
+    assert result.info["config"]["samples"] == 30
+    assert len(result.history) == 3
+    space = result.distribution.space
+    space.check(ParameterDistribution.load(folder / "fit" / "distribution").sample(10))
+    out = (folder / "fit.txt").read_text()
+    assert all(name in out for name in ("distribution", "fit.json", "corner.png", "progress.png"))
+    assert all(p.name[:12] in out for p in space)
+
+
+def test_evaluate(folder):
+    """Figures in JSON and on the screen; the sentence says what the JSON says."""
+    figures = json.loads((folder / "fit" / "evaluation.json").read_text())
+    rows = figures["optimal_transport"]["to_episodes"]
+    assert set(rows) == {"estimate", "initial", "uniform", "population"}
+    assert figures["samples"] == 50
+    out = (folder / "evaluate.txt").read_text()
+    before, after = rows["initial"]["physical"], rows["estimate"]["physical"]
+    assert f"{before:.3g} before the fit, {after:.3g} after it ({after / before:.0%})" in plain(out)
+
+
+@pytest.mark.parametrize("name", ["corner.png", "progress.png", "evaluation.png"])
+def test_pictures(folder, name):
+    """Readable PNGs of a size for a screen, with something drawn on them."""
+    image = matplotlib.image.imread(folder / "fit" / name)
+    height, width = image.shape[:2]
+    assert 400 <= width <= 4000
+    assert 400 <= height <= 4000
+    colours = (image[..., :3] * 255).astype(int) @ [1 << 16, 1 << 8, 1]
+    assert len(np.unique(colours)) > 20
+    assert 0.001 < (image[..., :3] < 0.9).any(2).mean() < 0.9
+
+
+def test_the_same_fit_again_is_read_back(folder):
+    """The same command on a finished folder gives the same table, from the same samples."""
+    before = (folder / "fit" / "fit.json").read_bytes()
+    status, out, err = run("fit", "hopper", folder / "data", "--out", folder / "fit", *TINY)
+    assert (status, err) == (0, "")
+    assert out == (folder / "fit.txt").read_text()
+    assert (folder / "fit" / "fit.json").read_bytes() == before
+
+
+def test_a_model_of_ones_own(folder, tmp_path):
+    """A model file with parameters in TOML, and recordings as CSV."""
+    (tmp_path / "pendulum.xml").write_text(PENDULUM)
+    (tmp_path / "unknown.toml").write_text(
+        '[[parameter]]\nfield = "body_mass"\ntarget = "rod"\nlow = 0.5\nhigh = 3\n'
+        '[[parameter]]\nfield = "dof_damping"\ntarget = "hinge"\nlow = 0.01\nhigh = 0.5\n'
+    )
+    rows = ["episode,time,qpos_hinge,qvel_hinge,ctrl_motor"]
+    rows += [f"a,{0.01 * i:.3f},{np.cos(0.1 * i):.6f},{-np.sin(0.1 * i):.6f},0.1" for i in range(20)]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    arguments = ("--params", tmp_path / "unknown.toml", "--out", tmp_path / "fit", *TINY)
+    status, out, err = run("fit", tmp_path / "pendulum.xml", tmp_path / "log.csv", *arguments)
+    assert (status, err) == (0, "")
+    assert "dof_damping" in out
+    assert FitResult.load(tmp_path / "fit").info["transitions"] == 19
+
+
+def test_a_folder_of_recordings_is_read_whole(folder, tmp_path):
+    """A file called data.npz beside others does not stand for all of them."""
+    for name in ("data.npz", "more.npz"):
+        (tmp_path / name).write_bytes((folder / "data" / "data.npz").read_bytes())
+    assert run("fit", "hopper", tmp_path, "--out", tmp_path / "fit", *TINY)[0] == 0
+    both, one = (FitResult.load(f / "fit").info["transitions"] for f in (tmp_path, folder))
+    assert both == 2 * one
+
+
+def commands(group: Any = None, path=()):
+    """Every command with its path."""
+    group = group or typer.main.get_command(app)
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+@pytest.mark.parametrize(("path", "command"), [*commands()], ids=lambda v: "-".join(v) if isinstance(v, tuple) else "")
+def test_help(path, command):
+    """Every argument and option of every command is explained, and so is the command."""
+    with mock.patch("typer.rich_utils.MAX_WIDTH", 250):  # no help text over several lines
+        status, out, _ = run(*path, "--help")
+    assert status == 0
+    assert command.help
+    for parameter in command.params:
+        assert parameter.help, parameter.name
+        assert len(parameter.help) > 5
+        assert plain(parameter.help) in plain(out), parameter.name
+
+
+def test_help_names_the_commands():
+    """Without arguments and with --help alike."""
+    for arguments in ((), ("--help",)):
+        _, out, err = run(*arguments)
+        for name in ("collect", "fit", "evaluate", "train", "bench"):
+            assert name in out + err
+
+
+TABLE = '[[parameter]]\nfield = "body_mass"\ntarget = "{target}"\nlow = {low}\nhigh = {high}\n'
+
+BAD = {
+    "unknown robot": ("collect ant --out {tmp}/x", "no benchmark robot is called 'ant'; there are: hopper, walker2d"),
+    "no episodes": ("collect hopper --episodes 0 --out {tmp}/x", "episodes and steps must be at least 1, got 0"),
+    "negative seed": ("collect hopper --seed -1 --out {tmp}/x", "seed must be at least 0, got -1"),
+    "out is a file": ("collect hopper --episodes 1 --steps 2 --out {tmp}/file", "/file: File exists"),
+    "no data": ("fit hopper {tmp}/none.npz --out {tmp}/x", "none.npz: the file does not exist"),
+    "no recordings": ("fit hopper {tmp}/file --out {tmp}/x", "unknown suffix ''; known are .npz, .csv, .parquet"),
+    "damaged recordings": ("fit hopper {tmp}/broken.npz --out {tmp}/x", "broken.npz: the file cannot be read as .npz"),
+    "no model": ("fit hooper {data} --out {tmp}/x", "'hooper' is neither a file nor a benchmark robot (hopper, walk"),
+    "no parameters": ("fit {tmp}/model.xml {data} --out {tmp}/x", "say with --params which parameters of"),
+    "no toml": ("fit hopper {data} --params {tmp}/none.toml --out {tmp}/x", "none.toml: cannot be read"),
+    "broken toml": ("fit hopper {data} --params {tmp}/broken.toml --out {tmp}/x", "broken.toml: not valid TOML"),
+    "unknown key": ("fit hopper {data} --params {tmp}/key.toml --out {tmp}/x", "parameter 0: unknown key 'lower'"),
+    "unknown field": ("fit hopper {data} --params {tmp}/field.toml --out {tmp}/x", "'body_weight' is no real-valued"),
+    "target typo": ("fit hopper {data} --params {tmp}/typo.toml --out {tmp}/x", "torso, thigh, leg, foot"),
+    "low above high": ("fit hopper {data} --params {tmp}/bounds.toml --out {tmp}/x", "low (5) must be below high (1)"),
+    "other robot": ("fit half_cheetah {data} --out {tmp}/x", "nq=6"),
+    "no iterations": ("fit hopper {data} --out {tmp}/x --iterations 0", "iterations is 0; it must be an integer of at"),
+    "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer of at least 0"),
+    "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "0"),
+    "too long": ("fit hopper {data} --out {tmp}/x --horizon 500", "500"),
+    "truth of others": ("evaluate {fit} --truth {tmp}/other.json", "parameters against 6: body_mass:torso | body"),
+    "no truth": ("evaluate {fit} --truth {tmp}/none.json", "none.json cannot be read"),
+    "truth is no json": ("evaluate {fit} --truth {tmp}/broken.toml", "broken.toml is not JSON"),
+    "no fit": ("evaluate {tmp} --truth {data}/truth.json", "distribution.json cannot be read (No such file or direct"),
+    "one sample": ("evaluate {fit} --truth {data}/truth.json --samples 1", "samples must be at least 2, got 1"),
+    "no distribution": ("train pendulum --distribution {tmp} --out {tmp}/x", "distribution.json cannot be read"),
+    "no environment": ("train nowhere --distribution {fit} --out {tmp}/x", "environment 'nowhere'"),
+    "other environment": ("train pendulum --distribution {fit} --out {tmp}/x", "body_mass:torso"),
+}
+
+
+@pytest.fixture(scope="module")
+def bad(folder, tmp_path_factory):
+    """A folder of things that are wrong."""
+    tmp = tmp_path_factory.mktemp("bad")
+    (tmp / "file").write_text("nothing")
+    (tmp / "broken.npz").write_bytes(b"PK nothing")
+    (tmp / "model.xml").write_text(PENDULUM)
+    (tmp / "broken.xml").write_text("<mujoco><worldbody><bdy/></worldbody></mujoco>")
+    (tmp / "broken.toml").write_text("[[parameter]\n")
+    good = TABLE.format(target="torso", low=1, high=5)
+    (tmp / "good.toml").write_text(good)
+    (tmp / "key.toml").write_text(good.replace("low", "lower"))
+    (tmp / "field.toml").write_text(good.replace("body_mass", "body_weight"))
+    (tmp / "typo.toml").write_text(TABLE.format(target="torzo", low=1, high=5))
+    (tmp / "bounds.toml").write_text(TABLE.format(target="torso", low=5, high=1))
+    other = ParameterSpace([Parameter("body_mass", "torso", low=1.0, high=5.0)])
+    Truth(other, np.array([[2.0]]), ["0"]).save(tmp / "other.json")
+    return {"tmp": tmp, "data": folder / "data", "fit": folder / "fit"}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input(bad, name):
+    """One clear line on the error stream, exit status 1, nothing written."""
+    command, text = BAD[name]
+    status, out, err = run(*command.format(**bad).split())
+    assert status == 1
+    assert out == ""
+    assert err.startswith("nfpde: ")
+    assert text in err
+    assert err.endswith("\n")
+    assert err.count("\n") == 1
+    assert not (bad["tmp"] / "x").exists()
+
+
+def test_a_broken_model(bad):
+    """MuJoCo's own message, which takes two lines, and where the error is."""
+    arguments = ("--params", bad["tmp"] / "good.toml", "--out", bad["tmp"] / "x")
+    status, out, err = run("fit", bad["tmp"] / "broken.xml", bad["data"], *arguments)
+    assert (status, out) == (1, "")
+    assert err.startswith("nfpde: ")
+    assert "broken.xml: MuJoCo cannot compile it" in err
+    assert "Element 'bdy', line 1" in err
+
+
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        ("fit hopper {data}", "Missing option '--out'"),
+        ("fit hopper {data} --out {tmp}/x --method em", "'em' is not one of 'softmax', 'cai'"),
+        ("fit hopper {data} --out {tmp}/x --flow glow", "'glow' is not one of 'auto', 'realnvp', 'nsf', 'maf'"),
+        ("fit hopper {data} --out {tmp}/x --samples many", "'--samples'"),
+        ("fit hopper {data} --out {tmp}/x --sampels 3", "No such option: --sampels"),
+        ("collect hopper --out {tmp}/x --target ring", "'ring' is not one of 'gaussian', 'mixture'"),
+        ("evaluate {fit} --truth {data}/truth.json --seed -1", "'--seed'"),
+        ("fitt hopper", "No such command 'fitt'"),
+    ],
+)
+def test_bad_options(bad, command, text):
+    """What the command's usage rules out: the option and its choices, exit status 2."""
+    status, out, err = run(*command.format(**bad).split())
+    assert status == 2
+    assert out == ""
+    assert text in plain(err)
+    assert "Traceback" not in err
+    assert not (bad["tmp"] / "x").exists()
+
+
+def test_the_folder_of_another_fit(folder):
+    """What differs is named, and the folder stays as it was."""
+    before = (folder / "fit" / "fit.json").read_bytes()
+    status, out, err = run("fit", "hopper", folder / "data", "--out", folder / "fit", *TINY, "--seed", 9)
+    assert (status, out) == (1, "")
+    assert err.startswith("nfpde: ")
+    assert "seed: saved 0, now 9" in err
+    assert "config" not in err
+    assert (folder / "fit" / "fit.json").read_bytes() == before
+
+
+@pytest.fixture(scope="module")
+def pendulums(tmp_path_factory):
+    """A distribution over pendulums, as a folder."""
+    home = tmp_path_factory.mktemp("pendulums")
+    space = ParameterSpace([Parameter("body_mass", "pendulum", low=0.8, high=1.2)])
+    ParameterDistribution(space, build_flow(1, hidden_features=(8,))).save(home / "distribution")
+    Truth(space, np.array([[1.0], [1.1]]), ["a", "b"]).save(home / "truth.json")
+    return home
+
+
+def test_train(pendulums, tmp_path):
+    """A policy for pendulums, its returns as JSON and as a picture."""
+    sizes = ("--steps", 300, "--evaluation-every", 150, "--evaluation-episodes", 2, "--device", "cpu", "--quiet")
+    files = ("--distribution", pendulums, "--truth", pendulums / "truth.json", "--out", tmp_path / "policy")
+    status, out, err = run("train", "pendulum", *files, *sizes)
+    assert (status, err) == (0, "")
+    for name in ("policy.safetensors", "train.json", "returns.png"):
+        assert (tmp_path / "policy" / name).is_file()
+        assert name in out
+    json.loads((tmp_path / "policy" / "train.json").read_text())
+    assert min(matplotlib.image.imread(tmp_path / "policy" / "returns.png").shape[:2]) > 300
+
+
+COMMAND = """
+import sys
+from nfpde.cli import main
+sys.modules["nfpde.estimation.run"].CHECKPOINT_SECONDS = 0.0
+main()
+"""
+
+
+def test_ctrl_c(folder, tmp_path):
+    """An interrupted fit ends with one line that says how to go on; the same command then does."""
+    arguments = ["fit", "hopper", str(folder / "data"), "--out", str(tmp_path / "fit"), *TINY, "--iterations", "40"]
+    process = subprocess.Popen([sys.executable, "-c", COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
+    started = time.monotonic()
+    while not (tmp_path / "fit" / "checkpoint" / "state.safetensors").exists():
+        assert process.poll() is None
+        assert time.monotonic() - started < 120, "no checkpoint in two minutes"
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.startswith("nfpde: the fit stopped; ")
+    assert err.endswith("of 40 iterations, from which the same command goes on\n")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "fit" / "fit.json").exists()
+    done = int(err.split("state after ")[1].split()[0])
+    assert 0 < done < 40
+    with mock.patch("nfpde.estimation.nfpde.NfpdeTrainer.step", autospec=True, side_effect=KeyboardInterrupt):
+        status, _, err = run(*arguments)
+    assert (status, err.count("\n")) == (130, 1)
+    # it went on from where it had stopped
+    assert f"state after {done} of 40 iterations" in err
+    assert run(*arguments)[0] == 0
+    assert [row["iteration"] for row in FitResult.load(tmp_path / "fit").history] == list(range(1, 41))
