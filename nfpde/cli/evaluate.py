@@ -18,7 +18,7 @@ def command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="what nfpde fit wrote")],
     truth: Annotated[Path, typer.Option(help="truth.json of the recordings")],
     samples: Annotated[int, typer.Option(help="samples of each distribution")] = 2000,
-    seed: Annotated[int, typer.Option(min=0, help="of the samples")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="of the samples")] = 0,
 ) -> None:
     """Measure a fitted distribution against the true parameters: exact optimal transport, coverage, a picture.
 
