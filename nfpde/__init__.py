@@ -22,6 +22,7 @@ from nfpde.effects import register as register
 from nfpde.errors import NfpdeError as NfpdeError
 from nfpde.estimation import FitResult as FitResult
 from nfpde.estimation import NfpdeConfig as NfpdeConfig
+from nfpde.estimation import TrajectoryConfig as TrajectoryConfig
 from nfpde.estimation import fit as fit
 from nfpde.evaluate import Evaluation as Evaluation
 from nfpde.evaluate import evaluate as evaluate

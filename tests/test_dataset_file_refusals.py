@@ -83,7 +83,10 @@ NPZ = {
     "blank label": (good(episode=np.array([""] * 6)), "an episode's name is ''; it must be printable text, not empty"),
     "label with spaces": (good(episode=np.array([" a"] * 3 + ["b"] * 3)), "name is ' a'; it must be printable text"),
     "no rows": ({n: a[:0] for n, a in good().items()}, "there are no rows; a data set holds at least one episode"),
-    "no qpos": (good(qpos=np.zeros((6, 0)), qvel=np.zeros((6, 0))), "has nq=0, nv=0; both must be at least 1"),
+    "no qpos": (
+        good(qpos=np.zeros((6, 0)), qvel=np.zeros((6, 0))),
+        "has no position column (nq=0); at least 1 is needed",
+    ),
     "swapped": (good(qpos=np.zeros((6, 2))), "nq=2 position columns and nv=3 velocity columns; a MuJoCo model never"),
     "unknown array": (
         good(qpos_filtered=np.zeros(6)),
@@ -319,3 +322,13 @@ def test_folders(tmp_path):
     np.savez(tmp_path / "c.npz", **good())
     with pytest.raises(BadDataset, match=r"found: \.csv, \.npz"):
         load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_tables_without_velocities_are_not_written(tmp_path, suffix):
+    """Recordings without velocities, of a first-order system, go into .npz only, and come back."""
+    still = Dataset([Episode("a", [0, 0.1], [[1.0], [2.0]], np.empty((2, 0)), [[0.0], [0.0]])])
+    with pytest.raises(BadDataset, match=r"these recordings have none; save them as \.npz"):
+        save_dataset(still, tmp_path / f"x{suffix}")
+    save_dataset(still, tmp_path / "x.npz")
+    assert load_dataset(tmp_path / "x.npz").content_hash() == still.content_hash()

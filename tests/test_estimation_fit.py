@@ -140,7 +140,7 @@ def test_everything_diverges(method):
 def test_an_interrupted_fit_goes_on(tmp_path, monkeypatch, uninterrupted, call, often):
     """Ctrl-C inside the simulator: a checkpoint is left, and the same call ends in the same numbers bit for bit."""
     if often:  # a checkpoint after every iteration, instead of one in five seconds
-        monkeypatch.setattr(sys.modules["nfpde.estimation.fit"], "CHECKPOINT_SECONDS", 0.0)
+        monkeypatch.setattr(sys.modules["nfpde.estimation.run"], "CHECKPOINT_SECONDS", 0.0)
     stopped = Counted(call, interrupt)
     with pytest.raises(KeyboardInterrupt) as caught:
         fit(simulator(stopped), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
@@ -166,7 +166,7 @@ import importlib.util, os, signal, sys
 spec = importlib.util.spec_from_file_location("same", sys.argv[1])
 same = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(same)
-sys.modules["nfpde.estimation.fit"].CHECKPOINT_SECONDS = 0.0
+sys.modules["nfpde.estimation.run"].CHECKPOINT_SECONDS = 0.0
 step = same.Counted(4, lambda: os.kill(os.getpid(), signal.SIGKILL))
 same.fit(same.simulator(step), same.DATA, config=same.TINY, seed=2, out=sys.argv[2], quiet=True)
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import platform
 from dataclasses import asdict, replace
@@ -39,15 +40,14 @@ def run(quick: bool, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     record = out / ("fit_quick.json" if quick else "fit.json")
     rows = _kept(record, facts)
-    for target in ("gaussian", "mixture"):
-        for seed in range(1 if quick else 3):
-            for method, flow in CELLS:
-                key = {"target": target, "seed": seed, "method": method, "flow": flow}
-                if any(key.items() <= row.items() for row in rows):
-                    continue
-                rows.append({**key, **_cell(target, seed, method, replace(config, flow=flow))})
-                print(_line(rows[-1]), flush=True)
-                record.write_text(json.dumps({**facts, "rows": rows}, indent=1))
+    cells = itertools.product(CELLS, ("gaussian", "mixture"), range(1 if quick else 3))
+    for (method, flow), target, seed in cells:
+        key = {"target": target, "seed": seed, "method": method, "flow": flow}
+        if any(key.items() <= row.items() for row in rows):
+            continue
+        rows.append({**key, **_cell(target, seed, method, replace(config, flow=flow))})
+        print(_line(rows[-1]), flush=True)
+        record.write_text(json.dumps({**facts, "rows": rows}, indent=1))
     table = _table(rows, facts)
     print(table)
     record.with_suffix(".md").write_text(table)

@@ -10,16 +10,19 @@ from rich.console import Console
 
 from nfpde.cli.models import MODEL_HELP, make_simulator, read_dataset
 from nfpde.cli.settings import build, options_from
-from nfpde.estimation import Method, NfpdeConfig, draw_fit, fit
+from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit
 
 
-@options_from(NfpdeConfig)
+@options_from(NfpdeConfig, TrajectoryConfig)
 def command(
+    context: typer.Context,
     model: Annotated[str, typer.Argument(metavar="MODEL", help=MODEL_HELP)],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="recordings: .npz, .csv, .parquet, or a folder of them")],
     out: Annotated[Path, typer.Option(help="folder for the results; an interrupted fit goes on from it")],
     params: Annotated[Path | None, typer.Option(help="parameters.toml; a benchmark robot has its own")] = None,
-    method: Annotated[Method, typer.Option(help="candidate likelihood: Eq. 11 or Eq. 10 of the paper")] = "softmax",
+    method: Annotated[
+        Method, typer.Option(help="softmax (Eq. 11 of the paper), cai (Eq. 10), or whole trajectories")
+    ] = "softmax",
     resample: Annotated[
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
@@ -34,7 +37,7 @@ def command(
     """
     simulator = make_simulator(model, params)
     dataset = read_dataset(data, resample)
-    config = build(NfpdeConfig, settings)
+    config = build(CONFIGS[method], settings, context, f"the method {method}")
     result = fit(simulator, dataset, method=method, config=config, seed=seed, out=out, quiet=quiet)
     pictures = draw_fit(result, out, nominal=simulator.nominal())
     Console().print(result.distribution.summary(simulator.nominal()))

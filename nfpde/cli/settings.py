@@ -9,6 +9,8 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from nfpde.errors import BadInput
+
 
 def options_from(*configs: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator: add an option for every field of the settings classes to a command.
@@ -23,14 +25,15 @@ def options_from(*configs: type) -> Callable[[Callable[..., None]], Callable[...
         hints = get_type_hints(command, include_extras=True)
         own = [p.replace(annotation=hints[p.name]) for p in own]
         added = []
-        for config in configs:
-            types = get_type_hints(config)
-            for f in fields(config):
-                option = typer.Option(help=f.metadata["help"], rich_help_panel=config.__name__)
-                annotation = Annotated[types[f.name], option]
-                added.append(
-                    inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=annotation)
-                )
+        for name, owners in _owners(configs).items():
+            first = owners[0]
+            f = next(f for f in fields(first) if f.name == name)
+            panel = "Settings of " + " and ".join(config.__name__.removesuffix("Config") for config in owners)
+            option = typer.Option(help=f.metadata["help"], rich_help_panel=panel)
+            annotation = Annotated[get_type_hints(first)[name], option]
+            added.append(
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=annotation)
+            )
         command.__signature__ = signature.replace(parameters=[*own, *added])  # type: ignore[attr-defined]
         command.__annotations__ = {p.name: p.annotation for p in [*own, *added]}
         return command
@@ -38,6 +41,31 @@ def options_from(*configs: type) -> Callable[[Callable[..., None]], Callable[...
     return decorate
 
 
-def build(config: type, values: dict[str, Any]) -> Any:
-    """The settings object of the options that a command received."""
-    return config(**{f.name: values[f.name] for f in fields(config)})
+def build(config: type, values: dict[str, Any], context: typer.Context, what: str) -> Any:
+    """The settings object of the options that a command received.
+
+    Args:
+        config: the settings class.
+        values: all options of `options_from`.
+        context: of the command; tells which options were given.
+        what: what the settings are for, for the error.
+
+    Raises:
+        BadInput: an option was given that only other settings classes have, or a value breaks a rule.
+    """
+    own = {f.name for f in fields(config)}
+    for name in values:
+        source = context.get_parameter_source(name)
+        if name not in own and source is not None and source.name == "COMMANDLINE":
+            option = "--" + name.replace("_", "-")
+            raise BadInput(f"{option} is no setting of {what}, where it would do nothing; leave it out")
+    return config(**{name: values[name] for name in own})
+
+
+def _owners(configs: tuple[type, ...]) -> dict[str, list[type]]:
+    """Names of all fields, and which classes have them; a shared name means the same thing in each."""
+    owners: dict[str, list[type]] = {}
+    for config in configs:
+        for f in fields(config):
+            owners.setdefault(f.name, []).append(config)
+    return owners

@@ -104,8 +104,8 @@ class Episode:
                 f"episode {self.name!r} has {rows} row(s); at least 2 are needed (a state, and the state one "
                 "control step later). Remove the episode."
             )
-        if self.nq == 0 or self.nv == 0:
-            raise BadDataset(f"episode {self.name!r} has nq={self.nq}, nv={self.nv}; both must be at least 1.")
+        if self.nq == 0:
+            raise BadDataset(f"episode {self.name!r} has no position column (nq=0); at least 1 is needed.")
         if self.nv > self.nq:
             raise BadDataset(
                 f"episode {self.name!r} has nq={self.nq} position columns and nv={self.nv} velocity columns; "

@@ -85,13 +85,15 @@ def save_dataset(dataset: Dataset, path: str | Path) -> None:
         path: File to write or replace: `.npz`, `.csv` or `.parquet`.
 
     Raises:
-        BadDataset: The suffix is unknown, or the folder does not exist.
+        BadDataset: The suffix is unknown, the folder does not exist, or a table would have no velocities.
     """
     path = Path(path)
     with naming(path):
         write = _WRITERS[_known_suffix(path)]
         if not path.parent.is_dir():
             raise BadDataset("the folder to save in does not exist; create it first.")
+        if dataset.nv == 0 and path.suffix.lower() != ".npz":
+            raise BadDataset("a table needs velocity columns, and these recordings have none; save them as .npz.")
     temporary = path.with_name(f".{path.name}.part")
     try:
         write(dataset, temporary)

@@ -45,6 +45,23 @@ class NfpdeConfig:
             )
 
 
+@dataclass(frozen=True)
+class TrajectoryConfig:
+    """Settings of the episode-level estimator.
+
+    Raises:
+        BadInput: a value below its least.
+    """
+
+    horizon: int = setting(1, "control steps predicted open loop before comparing", 1)
+    starts: int = setting(4, "quasi-random starting points for every robot", 1)
+    steps: int = setting(8, "steps of Levenberg-Marquardt in a round", 1)
+    rounds: int = setting(12, "at most so many rounds; each learns the noise anew", 1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 def check_settings(config: Any) -> None:
     """Refuse values of a settings dataclass below their least, and names that are no choice.
 

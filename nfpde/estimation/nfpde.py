@@ -75,6 +75,21 @@ class NfpdeTrainer:
         self.generator = torch.Generator().manual_seed(self.seed)
         self.rng = np.random.default_rng(self.seed)
 
+    @property
+    def title(self) -> str:
+        """Shown with the progress."""
+        return f"Fitting ({self.candidate})"
+
+    @property
+    def total(self) -> int:
+        """Iterations in all."""
+        return self.config.iterations
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.iteration >= self.total
+
     def step(self) -> dict[str, float]:
         """Draw, simulate, learn; returns the figures of the iteration, which are also added to `history`."""
         started = time.perf_counter()

@@ -8,10 +8,11 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from nfpde.corner import corner
-from nfpde.estimation.fit import FitResult
+from nfpde.estimation.result import FitResult
 
 _PANELS = {
-    "loss": "squared error of the samples that explain the data",
+    "loss": "squared error of what explains the data",
+    "noise": "typical residual, as learned from the data",
     "beta": "temperature beta",
     "effective": "effective samples per transition",
 }

@@ -72,10 +72,15 @@ class GaussianMixture(nn.Module):
 
     @torch.no_grad()
     def sample(self, n: int, generator: torch.Generator) -> Tensor:
-        """Draw n points (n, D) without gradient; only `generator` is used up."""
+        """Draw n points (n, D) without gradient; only `generator` is used up.
+
+        The draw is stratified: every component gets its share of the n points to within one, in random order.
+        """
         device = generator.device
         ends = torch.cumsum(self.log_weights.exp(), 0).to(device)
-        uniform = torch.rand(n, generator=generator, dtype=torch.float64, device=device) * ends[-1]
+        offset = torch.rand(1, generator=generator, dtype=torch.float64, device=device)
+        order = torch.randperm(n, generator=generator, device=device)
+        uniform = (order + offset) / n * ends[-1]
         k = torch.searchsorted(ends, uniform, right=True).clamp_max(self.components - 1).to(self.means.device)
         noise = torch.randn(n, self.features, generator=generator, dtype=torch.float64, device=device)
         z, noise = self.means[k], noise.to(self.means.device)

@@ -1,0 +1,175 @@
+"""The episode-level estimator: one parameter vector per robot, noise learned from the data, then the population."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+from torch import Tensor
+
+from nfpde.checkpoint import flatten_state, restore_state
+from nfpde.estimation.config import TrajectoryConfig
+from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, reweigh, start
+from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
+from nfpde.estimation.trajectory.noise import PRECISION, Noise, learn_noise
+from nfpde.estimation.trajectory.problem import Problem
+
+Array = NDArray[np.float64]
+
+BORROWING_ROUNDS = (1, 2, 3)
+"""Rounds that also start from where other robots ended: a robot stuck in a local minimum gets out of it there."""
+
+
+@dataclass
+class TrajectoryEstimator:
+    """Local posteriors of all robots; `step` is one round: Levenberg-Marquardt, then a new residual covariance.
+
+    Args:
+        problem: windows sorted by robot.
+        config: settings.
+        seed: of the starting points.
+    """
+
+    problem: Problem
+    config: TrajectoryConfig
+    seed: int
+    iteration: int = 0
+    converged: bool = False
+    history: list[dict[str, float]] = field(default_factory=list)
+    candidates: Candidates | None = None
+
+    def __post_init__(self) -> None:
+        self.robots = len(self.problem.members)
+        self.noise = Noise(np.eye(self.problem.channels), 1e6)
+        self.floor = np.full(self.problem.channels, PRECISION)
+
+    @property
+    def title(self) -> str:
+        """Shown with the progress."""
+        return f"Fitting {self.robots} robot{'s' if self.robots > 1 else ''}"
+
+    @property
+    def total(self) -> int:
+        """Rounds at most."""
+        return self.config.rounds
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.converged or self.iteration >= self.config.rounds
+
+    def step(self) -> dict[str, float]:
+        """One round for all robots; returns its figures, which are also added to `history`."""
+        started = time.perf_counter()
+        if self.candidates is None:
+            self._first()
+        elif self.iteration in BORROWING_ROUNDS and self.robots > 1:
+            self._borrow()
+        c = self.candidates
+        if c is None:  # pragma: unreachable, _first made them
+            raise RuntimeError("no candidates")
+        improve(self.problem, c, self.noise, self.config.steps)
+        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        c = self.candidates = distinct(c)
+        before = self.noise.log_scale
+        self._learn_noise()
+        change = self.noise.log_scale - before
+        reweigh(c, self.noise)
+        self.iteration += 1
+        settled = abs(change) < 1e-2
+        self.converged = bool(settled and self.iteration > 1 + (self.robots > 1))
+        best = self._best()
+        figures = {
+            "loss": float(np.mean([np.mean(c.residuals[k] ** 2) for k in best])),
+            "noise": float(np.exp(self.noise.log_scale)),
+            "degrees": self.noise.degrees,
+            "modes": len(c.robot) / self.robots,
+        }
+        seconds = time.perf_counter() - started
+        self.history.append({"iteration": self.iteration, **figures, "seconds": seconds})
+        return self.history[-1]
+
+    def posteriors(self) -> list[LocalPosterior]:
+        """The robots' posteriors under the learned noise, in the order of `problem.names`."""
+        c = self.candidates
+        if c is None:
+            raise RuntimeError("call step first")
+        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        return local_posteriors(c, self.robots)
+
+    def _first(self) -> None:
+        """Quasi-random starts in the inner part of the box, the same for every robot; noise from their residuals."""
+        space = self.problem.simulator.space
+        n = self.config.starts
+        shares = 0.1 + 0.8 * qmc.Sobol(len(space), rng=self.seed).random(1 << (n - 1).bit_length())[:n]
+        z = np.tile(space.to_unconstrained(space.low + shares * space.width), (self.robots, 1))
+        c = start(self.problem, z, np.repeat(np.arange(self.robots), n), self.noise)
+        self.noise = learn_noise(c.residuals, 0, self.floor)
+        reweigh(c, self.noise)
+        self.candidates = c
+
+    def _borrow(self) -> None:
+        """Let every robot also try the best place of two others."""
+        c = self.candidates
+        if c is None:
+            return
+        best = self._best()
+        shifts = (1 + (self.iteration - 1) * 2 + np.arange(2)) % self.robots
+        shifts = np.unique(shifts[shifts > 0])
+        robot = np.repeat(np.arange(self.robots), len(shifts))
+        other = (robot + np.tile(shifts, self.robots)) % self.robots
+        tried = start(self.problem, c.z[best[other]], robot, self.noise)
+        self.candidates = _join(c, tried)
+
+    def _learn_noise(self) -> None:
+        c = self.candidates
+        if c is None:
+            return
+        fitted = self.robots * len(self.problem.simulator.space)
+        self.noise = learn_noise([c.residuals[k] for k in self._best()], fitted, self.floor)
+
+    def _best(self) -> NDArray[np.intp]:
+        """Index of every robot's best candidate, (G,)."""
+        c = self.candidates
+        if c is None:
+            raise RuntimeError("call step first")
+        order = np.lexsort((c.cost, c.robot))
+        return order[np.searchsorted(c.robot[order], np.arange(self.robots))]
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Everything the next round depends on, as tensors and JSON."""
+        c = self.candidates
+        saved = {"whitener": self.noise.whitener, "degrees": self.noise.degrees}
+        if c is not None:
+            saved |= {"robot": c.robot, "z": c.z, "damping": c.damping}
+        tensors, layout = flatten_state("trajectory", saved)
+        info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
+        return tensors, {**info, "trajectory": layout}
+
+    def restore(self, tensors: dict[str, Tensor], info: dict[str, Any]) -> None:
+        """Go on from a `state`; the candidates are simulated again."""
+        saved = restore_state(info["trajectory"], tensors)
+        self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
+        self.noise = Noise(saved["whitener"], saved["degrees"])
+        if "z" in saved:
+            c = start(self.problem, saved["z"], saved["robot"], self.noise)
+            c.damping = saved["damping"]
+            linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+            self.candidates = c
+
+
+def _join(a: Candidates, b: Candidates) -> Candidates:
+    return Candidates(
+        np.concatenate([a.robot, b.robot]),
+        np.concatenate([a.z, b.z]),
+        np.concatenate([a.cost, b.cost]),
+        a.residuals + b.residuals,
+        np.concatenate([a.information, b.information]),
+        np.concatenate([a.data_information, b.data_information]),
+        np.concatenate([a.damping, b.damping]),
+        np.concatenate([a.done, b.done]),
+    )

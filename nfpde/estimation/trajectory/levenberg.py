@@ -1,0 +1,168 @@
+"""Levenberg-Marquardt for many robots and starts at once, with finite differences of a batched simulator.
+
+Each candidate minimises the negative log posterior of its robot in the unconstrained parameters z, where the uniform
+prior over the box is a logistic one. Heavy-tailed noise makes it iteratively reweighted least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, log_expit
+
+from nfpde.estimation.trajectory.noise import Noise
+from nfpde.estimation.trajectory.problem import Index, Problem
+
+Array = NDArray[np.float64]
+
+STEP = 1e-4
+"""Finite difference in z: far above rounding errors, far below any curvature."""
+
+FARTHEST = 9.0
+"""|z| of candidates: within 1e-4 of the box's width of a bound there is nothing left to find."""
+
+_DAMPINGS = np.array([0.1, 1.0, 10.0])
+
+
+@dataclass
+class Candidates:
+    """K places in parameter space, each trying to explain one robot.
+
+    robot: which robot each explains                                       (K,)
+    z: where they are                                                      (K, D)
+    cost: twice the negative log posterior, up to a constant               (K,)
+    residuals: of their robot's windows, not white                         K arrays (n, C)
+    information: Gauss-Newton matrix of cost / 2, prior included           (K, D, D)
+    data_information: the same without the prior                           (K, D, D)
+    """
+
+    robot: Index
+    z: Array
+    cost: Array
+    residuals: list[Array]
+    information: Array
+    data_information: Array
+    damping: Array = field(default_factory=lambda: np.empty(0))
+    done: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+
+    def take(self, index: Index) -> Candidates:
+        """The candidates at `index`, in that order."""
+        return Candidates(
+            self.robot[index],
+            self.z[index],
+            self.cost[index],
+            [self.residuals[k] for k in index],
+            self.information[index],
+            self.data_information[index],
+            self.damping[index],
+            self.done[index],
+        )
+
+
+def start(problem: Problem, z: Array, robot: Index, noise: Noise) -> Candidates:
+    """Evaluate starting points z (K, D)."""
+    residuals = problem.residuals(problem.simulator.space.to_physical(z), robot)
+    k, d = z.shape
+    return Candidates(
+        robot,
+        z.copy(),
+        _costs(residuals, z, noise),
+        residuals,
+        np.tile(np.eye(d), (k, 1, 1)),
+        np.zeros((k, d, d)),
+        np.full(k, 1e-2),
+        np.zeros(k, bool),
+    )
+
+
+def reweigh(candidates: Candidates, noise: Noise) -> None:
+    """Take over a new residual covariance."""
+    candidates.cost = _costs(candidates.residuals, candidates.z, noise)
+    candidates.done[:] = False
+    candidates.damping[:] = np.minimum(candidates.damping, 1e-2)
+
+
+def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> None:
+    """Run up to `iterations` steps of Levenberg-Marquardt on all candidates that have not converged, in place.
+
+    One step is two calls of the simulator for everybody: D perturbed vectors for the Jacobian, then three dampings.
+    A candidate has converged when its step promises to gain less than 1e-3 in cost, far below what any statistic
+    can see.
+    """
+    space = problem.simulator.space
+    d = len(space)
+    for _ in range(iterations):
+        active = np.flatnonzero(~c.done & np.isfinite(c.cost))
+        if not len(active):
+            return
+        gradient = linearise(problem, c, noise, active)
+        scale = np.einsum("kii->ki", c.information[active])
+        damping = c.damping[active, None] * _DAMPINGS
+        matrices = c.information[active, None] + damping[..., None, None] * (scale[:, None, :, None] * np.eye(d))
+        steps = -np.linalg.solve(matrices, np.broadcast_to(gradient[:, None, :, None], (len(active), 3, d, 1)))[..., 0]
+        trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
+        flat = trials.reshape(-1, d)
+        residuals = problem.residuals(space.to_physical(flat), np.repeat(c.robot[active], 3))
+        costs = _costs(residuals, flat, noise).reshape(-1, 3)
+        best = costs.argmin(1)
+        # what the undamped quadratic model still promises, in cost
+        newton = np.linalg.solve(c.information[active], gradient[..., None])[..., 0]
+        promise = np.einsum("kd,kd->k", gradient, newton)
+        for i, k in enumerate(active):
+            if costs[i, best[i]] < c.cost[k]:
+                c.z[k], c.cost[k] = trials[i, best[i]], costs[i, best[i]]
+                c.residuals[k] = residuals[3 * i + best[i]]
+                c.damping[k] = max(damping[i, best[i]] * 0.5, 1e-10)
+                c.done[k] = promise[i] < 1e-3
+            else:
+                c.damping[k] *= 10.0
+                c.done[k] = promise[i] < 1e-3 or c.damping[k] > 1e8
+
+
+def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, careful: bool = False) -> Array:
+    """Update the information matrices of the candidates `which`; returns the gradients of cost / 2, (n, D).
+
+    Args:
+        problem: what is fitted.
+        c: the candidates.
+        noise: of the residuals.
+        which: indices of candidates, (n,).
+        careful: difference to both sides and take the smaller slope. A contact that opens or closes between two
+            places is a jump, not a slope, and would pass for boundless information.
+    """
+    d = len(problem.simulator.space)
+    gradient = np.empty((len(which), d))
+    ahead = _slopes(problem, c, which, STEP)
+    behind = _slopes(problem, c, which, -STEP) if careful else ahead
+    for i, k in enumerate(which):
+        white = c.residuals[k] @ noise.whitener
+        # the weights of this place in iteratively reweighted least squares
+        root = np.sqrt(noise.weight((white**2).sum(1)))[:, None]
+        white = (white * root).ravel()
+        slope = np.where(np.abs(ahead[i]) < np.abs(behind[i]), ahead[i], behind[i])
+        columns = (slope @ noise.whitener * root).reshape(d, -1).T
+        sound = np.isfinite(columns).all(1) & np.isfinite(white)
+        columns, white = columns[sound], white[sound]
+        share = expit(c.z[k])
+        c.data_information[k] = columns.T @ columns
+        c.information[k] = c.data_information[k] + np.diag(2 * share * (1 - share))
+        gradient[i] = columns.T @ white + 2 * share - 1
+    return gradient
+
+
+def _slopes(problem: Problem, c: Candidates, which: Index, step: float) -> list[Array]:
+    """One-sided differences of the residuals of every candidate by every parameter: arrays (D, n_k, C)."""
+    space = problem.simulator.space
+    d = len(space)
+    moved = (c.z[which, None] + step * np.eye(d)).reshape(-1, d)
+    there = problem.residuals(space.to_physical(moved), np.repeat(c.robot[which], d))
+    return [(np.stack(there[i * d : (i + 1) * d]) - c.residuals[k]) / step for i, k in enumerate(which)]
+
+
+def _costs(residuals: list[Array], z: Array, noise: Noise) -> Array:
+    prior = (log_expit(z) + log_expit(-z)).sum(1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = np.array([noise.cost(((r @ noise.whitener) ** 2).sum(1)).sum() for r in residuals])
+    return np.where(np.isfinite(squares), squares, np.inf) - 2 * prior

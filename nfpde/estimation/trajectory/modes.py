@@ -1,0 +1,68 @@
+"""Local posteriors: the distinct modes of every robot, their weights, and Gaussians around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.estimation.trajectory.levenberg import Candidates
+
+Array = NDArray[np.float64]
+
+HOPELESS = 30.0
+"""Cost above a robot's best from which a mode has no weight left (exp(-15))."""
+
+SAME = 1.0
+"""Two candidates closer than this share of a posterior standard deviation in every direction are one mode."""
+
+
+def distinct(c: Candidates) -> Candidates:
+    """Keep, for every robot, its best candidate and every other mode that could carry weight."""
+    keep: list[int] = []
+    for g in np.unique(c.robot):
+        own = np.flatnonzero(c.robot == g)
+        own = own[np.argsort(c.cost[own], kind="stable")]
+        chosen: list[int] = []
+        for k in own:
+            far = all(_distance(c, k, j) > SAME for j in chosen)
+            if not chosen or (far and c.cost[k] - c.cost[own[0]] < HOPELESS):
+                chosen.append(int(k))
+        keep += chosen
+    return c.take(np.array(keep))
+
+
+def _distance(c: Candidates, k: int, j: int) -> float:
+    step = c.z[k] - c.z[j]
+    return float(np.sqrt(step @ c.information[j] @ step))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalPosterior:
+    """One robot's posterior in z: a mixture of Gaussians, one around every mode (Laplace's approximation).
+
+    weights: share of each mode                                            (K,)
+    means: the modes                                                       (K, D)
+    covariances: inverse Gauss-Newton matrices, prior included             (K, D, D)
+    fisher: information of the recordings alone about z, at the best mode  (D, D)
+    """
+
+    weights: Array
+    means: Array
+    covariances: Array
+    fisher: Array
+
+
+def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
+    """The posterior of every robot, from its distinct modes; the best mode comes first."""
+    result = []
+    for g in range(robots):
+        own = np.flatnonzero(c.robot == g)
+        own = own[np.argsort(c.cost[own], kind="stable")]
+        covariances = np.linalg.inv(c.information[own])
+        covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
+        evidence = -0.5 * c.cost[own] + 0.5 * np.linalg.slogdet(covariances)[1]
+        weights = np.exp(evidence - evidence.max())
+        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, c.data_information[own[0]]))
+    return result
