@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import effect_names
-from nfpde.elements import element_ids, element_names, joint_dofs, joint_qpos
+from nfpde.elements import actuator_ctrls, element_ids, element_names, joint_dofs, joint_qpos
 from nfpde.errors import BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim.fields import array_fields, get_field
@@ -59,9 +59,15 @@ def slots_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Slot]:
 
 def _option(model: mujoco.MjModel, p: Parameter) -> Slot:
     """The slot of an option, `opt.<name>`."""
+    if p.field == "opt.timestep":
+        raise BadParameter(
+            f"{p.name}: the timestep is no parameter, because control steps and delays are counted in the model's own "
+            f"({model.opt.timestep:g} s); set it in the model, <option timestep=...>, and leave the parameter out"
+        )
     values = np.asarray(getattr(model.opt, p.field[4:], None))
     if p.field not in mujoco.batch.MODEL_FIELDS or values.dtype.kind != "f":
-        options = sorted(f for f in mujoco.batch.MODEL_FIELDS if f.startswith("opt."))
+        options = sorted(f for f in mujoco.batch.MODEL_FIELDS if f.startswith("opt.") and f != "opt.timestep")
+        options = [f for f in options if get_field(model, f).dtype.kind == "f"]
         raise BadParameter(f"{p.name}: {p.field!r} is no real-valued option; MuJoCo has: {', '.join(options)}")
     if p.target is not None:
         raise BadParameter(f"{p.name}: an option belongs to no element; leave the target out")
@@ -83,6 +89,8 @@ def _elements(model: mujoco.MjModel, p: Parameter) -> Slot:
         ids = joint_dofs(model, ids)
     elif prefix.startswith("qpos"):
         ids = joint_qpos(model, ids)
+    elif p.field == "actuator_ctrlrange":  # one row per command, and an actuator may have several
+        ids = actuator_ctrls(model, ids)
     index = (ids,) if array.ndim == 1 else (ids, _component(p, array.shape[1]))
     if array.ndim == 1 and p.component:
         raise BadParameter(f"{p.name}: {p.field} has one number per element, so component must be 0")
