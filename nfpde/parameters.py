@@ -50,7 +50,8 @@ class Parameter:
             simulator knows.
         target: name or id of the element, a tuple of them (all get the same value), or "*" for all elements of
             the field's kind; None where the field belongs to no element.
-        low: lower bound, in the field's unit.
+        low: lower bound, in the field's unit. Masses, inertias, damping and friction cannot be negative. Keep
+            `geom_friction` above 1e-5: MuJoCo takes less for 1e-5, and on GPUs it is known to give NaN.
         high: upper bound, greater than `low`.
         component: which number of a field that has several per element (0 is the sliding coefficient of
             `geom_friction`, the gain of `actuator_gainprm`).

@@ -15,6 +15,8 @@ from nfpde.effects.effect import overrides
 from nfpde.errors import BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim.fields import array_fields, get_field, set_field
+from nfpde.sim.limits import refuse_impossible, refuse_weightless
+from nfpde.sim.quiet import quiet_mujoco
 from nfpde.sim.slots import slots_of
 
 Array = NDArray[np.float64]
@@ -55,14 +57,15 @@ class ModelWriter:
         effects: bound effects; the columns of their parameters follow those of `space`.
 
     Raises:
-        BadParameter: a field or element the model lacks, two parameters that write one number, or one that
-            writes nothing new.
+        BadParameter: a field or element the model lacks, two parameters that write one number, one that writes
+            nothing new, or bounds that no robot can have (see `nfpde.sim.limits`).
     """
 
     def __init__(self, model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect] = ()) -> None:
         self.nominal = copy.copy(model)
         self.nbase = 0 if space is None else len(space)
         self._slots = slots_of(self.nominal, space)
+        refuse_impossible(self.nominal, self._slots)
         self._effects: list[tuple[Effect, slice]] = []
         column = self.nbase
         for e in effects:
@@ -133,7 +136,10 @@ class ModelWriter:
         # irregular places in the box: a value that happens to be the model's own would hide its field
         for share in (0.0, 1.0, 0.3819, 0.7236):
             probe = _Scratch(copy.copy(self.nominal))
-            self._write(probe, low + (high - low) * share)
+            with quiet_mujoco():
+                self._write(probe, low + (high - low) * share)
+            if share == 0.0:
+                refuse_weightless(probe.model, probe.data, self._slots)
             changed |= {f for f, v in before.items() if not np.array_equal(v, probe[f], equal_nan=True)}
         for slot in self._slots:
             if slot.parameter.field not in changed:
