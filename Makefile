@@ -11,6 +11,8 @@ demo: install  ## ten recorded Hopper episodes -> distribution -> distance to th
 	$(BIN)/nfpde collect hopper --target mixture --episodes 10 --out $(RUN)/data
 	$(BIN)/nfpde fit hopper $(RUN)/data --params $(RUN)/data/parameters.toml --method softmax --out $(RUN)/fit
 	$(BIN)/nfpde evaluate $(RUN)/fit --truth $(RUN)/data/truth.json
+	$(BIN)/nfpde fit hopper $(RUN)/data --params $(RUN)/data/parameters.toml --method trajectory --out $(RUN)/trajectory
+	$(BIN)/nfpde evaluate $(RUN)/trajectory --truth $(RUN)/data/truth.json
 
 test: install  ## everything that runs on a CPU
 	$(BIN)/python -m pytest
