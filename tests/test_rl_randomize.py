@@ -299,6 +299,16 @@ def test_divergence_ends_the_episode():
     assert "diverged" not in env.step(np.zeros(3))[4]
 
 
+def test_a_command_that_mujoco_ignores_ends_the_episode():
+    """For NaN MuJoCo warns and takes 0 instead: plausible numbers, refused here as in MujocoSimulator."""
+    for space, xi in ((space_of(MASS, DAMPING), XI[:2]), (SPACE, XI)):
+        env = hopper(xi, space)
+        env.reset(seed=0)
+        assert "diverged" not in env.step(np.ones(3))[4]
+        # three control steps: the command may be 13 ms late
+        assert any("diverged" in env.step(np.full(3, np.nan))[4] for _ in range(3))
+
+
 @pytest.mark.parametrize(
     ("make", "error", "text"),
     [

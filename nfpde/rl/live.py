@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import gymnasium
@@ -10,20 +9,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.effects import Effect, World
+from nfpde.effects import World
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect, BadInput, NfpdeError
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import MujocoSimulator
+from nfpde.sim.acting import BeforeStep, BoundEffects, RowEffects
 from nfpde.sim.fields import get_field, set_field
 
 Array = NDArray[np.float64]
-
-_FATAL = [
-    int(w)
-    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
-_ROW = np.zeros(1, np.intp)
 
 
 class PhysicsDiverged(Exception):
@@ -59,21 +53,12 @@ class LivePhysics:
         nominal = self._simulator.model
         self.env.model.opt.solver = nominal.opt.solver
         self.env.model.opt.disableflags = nominal.opt.disableflags
-        column = self._simulator.writer.nbase
-        self._columns: list[tuple[Effect, slice]] = []
-        for e in self._simulator.effects:
-            self._columns.append((e, slice(column, column + len(e.parameters))))
-            column += len(e.parameters)
-        self._step_fields = sorted({f for e, _ in self._columns if overrides(e, "step") for f in e.step_fields})
-        # delays of several effects in a row add up
-        memory = sum(e.memory_time() for e, _ in self._columns if overrides(e, "command"))
-        self._memory_steps = math.ceil(memory / nominal.opt.timestep - 1e-9) + 1 if memory > 0 else 0
+        self._bound = BoundEffects(self.env.model, self._simulator.effects, self._simulator.writer.nbase)
+        self._on_sensor = [e for e in self._bound.effects if overrides(e, "to_measured")]
+        self._memory_steps = self._simulator.history_steps(nominal.opt.timestep)
+        self._effects = self._effects_at(None)
+        self._before_step: BeforeStep | None = None
         self._past: Array | None = None
-        self._on_command: list[tuple[Effect, Array]] = []
-        self._on_step: list[tuple[Effect, Array]] = []
-        self._on_sensor: list[tuple[Effect, Array]] = []
-        self._world: World | None = None
-        self._own: dict[str, Array] = {}
         self.observations = 0
         self._install()
 
@@ -85,33 +70,23 @@ class LivePhysics:
     def write(self, xi: Array | None) -> None:
         """Give the model the parameters xi (D,), or its nominal ones (None); to be called before the inner reset."""
         model, writer = self.env.model, self._simulator.writer
-        for name in {*self._step_fields, *writer.fields}:
+        for name in {*self._bound.step_fields, *writer.fields}:
             set_field(model, name, get_field(writer.nominal, name))
         if xi is None:
             mujoco.mj_setConst(model, mujoco.MjData(model))
         else:
             writer.write(model, xi)
-        values = [] if xi is None else [(e, xi[None, columns]) for e, columns in self._columns]
-        acting = [(e, v) for e, v in values if e.active(v)[0]]
-        self._on_command = [(e, v) for e, v in acting if overrides(e, "command")]
-        self._on_step = [(e, v) for e, v in acting if overrides(e, "step")]
-        self._on_sensor = [(e, v[0]) for e, v in values if overrides(e, "to_measured")]
-        self._own = {f: np.array(get_field(model, f)) for f in self._step_fields}
+        self._effects = self._effects_at(xi)
 
     def start(self) -> None:
         """Forget what effects and solver remember of the last episode; to be called after the inner reset."""
-        data = self.env.data
+        model, data = self.env.model, self.env.data
         data.qacc_warmstart[:] = 0.0
         data.qfrc_applied[:] = 0.0
         self._past = None
-        self._world = World(
-            self.env.model,
-            data.qpos[None],
-            data.qvel[None],
-            data.ctrl[None],
-            data.qfrc_applied[None],
-            fields={f: v[None].copy() for f, v in self._own.items()},
-        )
+        state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied"))
+        fields = {f: np.array(get_field(model, f))[None] for f in self._bound.step_fields}
+        self._before_step = self._effects.before_step(World(model, *state, fields=fields))
 
     def release(self) -> None:
         """Give the environment its own methods back and its model the nominal parameters."""
@@ -119,38 +94,45 @@ class LivePhysics:
         for name in ("do_simulation", "_get_obs"):
             vars(self.env).pop(name, None)
 
+    def _effects_at(self, xi: Array | None) -> RowEffects:
+        """The effects with the parameters of one vector (D,), or neutral ones."""
+        return self._bound.on_rows((self._simulator.nominal() if xi is None else xi)[None])
+
     def _install(self) -> None:
         self._own_simulation = self.env.do_simulation
         self.env.do_simulation = self._simulate
-        if any(overrides(e, "command") or overrides(e, "step") for e, _ in self._columns):
+        if self._bound.on_command or self._bound.on_step:
             self._check_stepping()
-        if any(overrides(e, "to_measured") for e, _ in self._columns):
+        if self._on_sensor:
             self._check_observation()
             self._own_observation = self.env._get_obs
             self.env._get_obs = self._observe
 
     def _simulate(self, ctrl: Any, n_frames: int) -> None:
         data = self.env.data
-        before = data.warning.number[_FATAL].sum()
-        if self._on_command or self._on_step:
+        before = data.warning.number.sum()
+        if self._effects.between_steps:
             self._substeps(np.asarray(ctrl, dtype=np.float64), n_frames)
         else:
             self._own_simulation(ctrl, n_frames)
-        if data.warning.number[_FATAL].sum() > before or not np.isfinite(data.qvel).all():
+        # as in MujocoSimulator, every warning that MuJoCo counts makes its numbers wrong
+        if data.warning.number.sum() > before or not np.isfinite(data.qvel).all():
             raise PhysicsDiverged
 
     def _substeps(self, ctrl: Array, n_frames: int) -> None:
-        env, world = self.env, self._world
-        if ctrl.shape != (env.model.nu,):
-            raise BadInput(f"environment {self.label}: an action has shape ({env.model.nu},), got {ctrl.shape}")
-        if world is None:
+        env, model, before_step = self.env, self.env.model, self._before_step
+        if ctrl.shape != (model.nu,):
+            raise BadInput(f"environment {self.label}: an action has shape ({model.nu},), got {ctrl.shape}")
+        if before_step is None:
             raise BadInput(f"environment {self.label}: call reset() before step()")
         for command in self._commands(ctrl, n_frames):
             env.data.ctrl[:] = command
-            self._act(world)
-            mujoco.mj_step(env.model, env.data)
+            before_step()
+            for name, field in before_step.world.fields.items():
+                set_field(model, name, field[0])
+            mujoco.mj_step(model, env.data)
         env.data.ctrl[:] = ctrl  # what the policy asked for is what a control cost charges
-        mujoco.mj_rnePostConstraint(env.model, env.data)
+        mujoco.mj_rnePostConstraint(model, env.data)
 
     def _commands(self, ctrl: Array, n_frames: int) -> Array:
         """Commands of the next physics steps after the effects on them, (n_frames, nu)."""
@@ -159,27 +141,14 @@ class LivePhysics:
             self._past = np.tile(ctrl, (self._memory_steps, 1))
         signal = np.concatenate([self._past, new])[None]
         self._past = signal[0, len(new) :].copy()
-        for e, values in self._on_command:
-            signal = e.command(signal, values, self._simulator.model.opt.timestep)
-        return signal[0, -n_frames:]
-
-    def _act(self, world: World) -> None:
-        for name, own in self._own.items():
-            world.fields[name][0] = own
-        world.qfrc_applied[...] = 0.0
-        for e, values in self._on_step:
-            e.step(world, _ROW, values)
-        for name, field in world.fields.items():
-            set_field(self.env.model, name, field[0])
+        return self._effects.delivered(signal)[0, -n_frames:]
 
     def _observe(self) -> Any:
         """The environment's observation, computed from the measured state."""
         self.observations += 1
         data, nq = self.env.data, self.env.model.nq
         true = np.concatenate([data.qpos, data.qvel])
-        measured = true
-        for e, values in reversed(self._on_sensor):
-            measured = e.to_measured(measured, values)
+        measured = self._effects.to_measured(true[None, None])[0, 0]
         try:
             data.qpos[:], data.qvel[:] = measured[:nq], measured[nq:]
             return self._own_observation()
@@ -217,7 +186,7 @@ class LivePhysics:
             )
 
     def _refuse(self, reason: str) -> None:
-        names = ", ".join(sorted({e.name for e, _ in self._columns}))
+        names = ", ".join(sorted({e.name for e in self._bound.effects}))
         vars(self.env).pop("do_simulation", None)
         raise BadEffect(f"environment {self.label}: {reason}. Effects of the space: {names}")
 

@@ -18,8 +18,14 @@ from nfpde.effects.effect import overrides
 Array = NDArray[np.float64]
 
 
+def effect_columns(effects: Sequence[Effect], first: int) -> list[slice]:
+    """Where each effect's parameters stand in a parameter vector, one effect's after the other's from `first` on."""
+    ends = first + np.cumsum([0, *(len(e.parameters) for e in effects)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
 class BoundEffects:
-    """A simulator's effects, bound to its model.
+    """Effects bound to a model, and the columns of their parameters.
 
     Args:
         model: the nominal model.
@@ -30,8 +36,7 @@ class BoundEffects:
     def __init__(self, model: mujoco.MjModel, effects: Sequence[Effect], first: int) -> None:
         self.model = model
         self.effects = tuple(effects)
-        ends = first + np.cumsum([0, *(len(e.parameters) for e in effects)])
-        self._columns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._columns = effect_columns(effects, first)
         self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
         self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
         self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
@@ -55,6 +60,13 @@ class RowEffects:
     def __init__(self, bound: BoundEffects, values: list[Array]) -> None:
         self._bound = bound
         self._values = values
+        self._on_command = self._acting(bound.on_command)
+        self._on_step = self._acting(bound.on_step)
+
+    @property
+    def between_steps(self) -> bool:
+        """Whether any row needs `delivered` or `before_step` at every physics step."""
+        return bool(self._on_command or self._on_step)
 
     def to_simulated(self, start: Array) -> Array:
         """States of the simulation behind measured ones, (R, nx)."""
@@ -77,24 +89,29 @@ class RowEffects:
             history: commands from before the start that matter.
             nsub: physics steps in a control step.
         """
-        acting = self._acting(self._bound.on_command)
-        if not acting:
+        if not self._on_command:
             return None
         past = windows.history[:, windows.nhistory - history :]
         signal = np.concatenate([past[window], windows.ctrl[window]], axis=1).repeat(nsub, axis=1)
-        for e, rows, values in acting:
+        return self.delivered(signal)[:, history * nsub :]
+
+    def delivered(self, signal: Array) -> Array:
+        """Commands sent at every physics step as they reach the actuators, (R, S, nu); `signal` is overwritten."""
+        for e, rows, values in self._on_command:
             signal[rows] = e.command(signal[rows], values, self._bound.model.opt.timestep)
-        return signal[:, history * nsub :]
+        return signal
 
     def before_steps(self, batch: mujoco.batch.Batch, n: int) -> BeforeStep | None:
-        """What to call before every physics step of the batch's first n simulations; None if no effect acts there."""
-        acting = self._acting(self._bound.on_step)
-        if not acting:
+        """`before_step` for the first n simulations of a batch; None if no effect acts there."""
+        if not self._on_step:
             return None
-        fields = {f: batch.expand(f)[:n] for f in self._bound.step_fields}
         state = (batch.bind(f)[:n] for f in ("qpos", "qvel", "ctrl", "qfrc_applied"))
-        world = World(self._bound.model, *state, fields=fields)
-        return BeforeStep(world, {f: v.copy() for f, v in fields.items()}, acting)
+        fields = {f: batch.expand(f)[:n] for f in self._bound.step_fields}
+        return self.before_step(World(self._bound.model, *state, fields=fields))
+
+    def before_step(self, world: World) -> BeforeStep:
+        """What to call before every physics step of a world whose fields hold the rows' own values."""
+        return BeforeStep(world, {f: v.copy() for f, v in world.fields.items()}, self._on_step)
 
     def _acting(self, which: list[int]) -> list[tuple[Effect, NDArray[np.intp], Array]]:
         """Effects that are not neutral in all rows, with the rows where they are not and their parameters there."""

@@ -14,6 +14,7 @@ from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.sim.acting import effect_columns
 from nfpde.sim.fields import array_fields, get_field, set_field
 from nfpde.sim.limits import refuse_impossible, refuse_weightless
 from nfpde.sim.quiet import quiet_mujoco
@@ -66,12 +67,8 @@ class ModelWriter:
         self.nbase = 0 if space is None else len(space)
         self._slots = slots_of(self.nominal, space)
         refuse_impossible(self.nominal, self._slots)
-        self._effects: list[tuple[Effect, slice]] = []
-        column = self.nbase
-        for e in effects:
-            if overrides(e, "write_model"):
-                self._effects.append((e, slice(column, column + len(e.parameters))))
-            column += len(e.parameters)
+        columns = zip(effects, effect_columns(effects, self.nbase), strict=True)
+        self._effects = [(e, c) for e, c in columns if overrides(e, "write_model")]
         self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
         self._nominal_fields: dict[str, NDArray[Any]] = {}
