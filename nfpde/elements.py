@@ -19,6 +19,12 @@ KINDS = {
 }
 """Element kinds: MuJoCo's object type and the mjModel size that counts them."""
 
+QPOS_WIDTHS = {0: 7, 1: 4, 2: 1, 3: 1}
+"""Columns of qpos by the type of joint: free, ball, slide, hinge."""
+
+DOF_WIDTHS = {0: 6, 1: 3, 2: 1, 3: 1}
+"""Degrees of freedom by the type of joint."""
+
 
 def element_names(model: mujoco.MjModel, kind: str) -> list[str]:
     """Name of every element of a kind, in id order.
@@ -79,12 +85,12 @@ def element_ids(
 
 def joint_dofs(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
     """Degrees of freedom (indices into qvel) of the given joints."""
-    return _spread(model, joints, model.jnt_dofadr, {0: 6, 1: 3, 2: 1, 3: 1})
+    return _spread(model, joints, model.jnt_dofadr, DOF_WIDTHS)
 
 
 def joint_qpos(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
     """Coordinates (indices into qpos) of the given joints."""
-    return _spread(model, joints, model.jnt_qposadr, {0: 7, 1: 4, 2: 1, 3: 1})
+    return _spread(model, joints, model.jnt_qposadr, QPOS_WIDTHS)
 
 
 def actuator_ctrls(model: mujoco.MjModel, actuators: NDArray[np.intp]) -> NDArray[np.intp]:

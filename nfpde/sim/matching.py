@@ -6,11 +6,8 @@ import mujoco
 
 from nfpde.dataset import Dataset, expand_names
 from nfpde.dataset import check_against_model as check
-from nfpde.elements import element_names
+from nfpde.elements import DOF_WIDTHS, QPOS_WIDTHS, element_names
 from nfpde.sim.states import StateSpace
-
-_WIDTH_QPOS = {0: 7, 1: 4, 2: 1, 3: 1}
-_WIDTH_QVEL = {0: 6, 1: 3, 2: 1, 3: 1}
 
 
 def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -> Dataset:
@@ -32,8 +29,8 @@ def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -
         timestep=float(model.opt.timestep),
         quaternions=[q for q, _ in states.quaternions],
         names={
-            "qpos": expand_names(joints, [_WIDTH_QPOS[k] for k in kinds]),
-            "qvel": expand_names(joints, [_WIDTH_QVEL[k] for k in kinds]),
+            "qpos": expand_names(joints, [QPOS_WIDTHS[k] for k in kinds]),
+            "qvel": expand_names(joints, [DOF_WIDTHS[k] for k in kinds]),
             "ctrl": expand_names(element_names(model, "actuator"), [int(k) for k in model.actuator_ctrlnum]),
         },
     )
