@@ -231,6 +231,7 @@ def test_fit_says_what_each_robot_is_known_to_be(tmp_path):
     assert unmoved["parameters"]["drift"]["value"] == pytest.approx(0.5, abs=1e-4)
     again = nfpde.FitResult.load(tmp_path)
     assert again.episodes is not None
+    assert result.episodes is not None
     assert again.episodes.sample(10, seed=1).tolist() == result.episodes.sample(10, seed=1).tolist()
     assert json.loads((tmp_path / "fit.json").read_text())["robots"] == result.info["robots"]
 

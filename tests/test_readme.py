@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def test_python_of_the_readme_runs_in_order(tmp_path, monkeypatch):
     full = nfpde.fit
     monkeypatch.setattr(nfpde, "fit", lambda *a, **k: full(*a, **{"config": smallest, "quiet": True, **k}))
     rng = np.random.default_rng(0)
-    scope = {"x": rng.normal(size=(5, 2)), "y": rng.normal(size=(7, 2))}
+    scope: dict[str, Any] = {"x": rng.normal(size=(5, 2)), "y": rng.normal(size=(7, 2))}
     code = blocks("python")
     assert len(code) >= 4
     for block in code:
