@@ -17,10 +17,8 @@ For generators the states are `torch.Generator.get_state()` (a tensor as it is) 
 `numpy.random.Generator.bit_generator.state` (nested).
 """
 
-import contextlib
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -32,6 +30,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from nfpde.errors import BadInput, CheckpointMismatch
+from nfpde.storage import write_whole
 
 STATE_FILE = "state.safetensors"
 COPY_FILE = "state.json"
@@ -55,8 +54,8 @@ def save_state(folder: Path | str, tensors: Mapping[str, Tensor], info: Mapping[
     data = save({k: t.detach().cpu().clone().contiguous() for k, t in tensors.items()}, {"info": text})
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    _replace(folder / STATE_FILE, data)
-    _replace(folder / COPY_FILE, text.encode())
+    write_whole(folder / STATE_FILE, data)
+    write_whole(folder / COPY_FILE, text)
     for leftover in folder.glob("state.*.tmp"):  # of a process that was killed while it wrote
         leftover.unlink(missing_ok=True)
 
@@ -160,22 +159,6 @@ def _to_json(info: Mapping[str, Any]) -> str:
         raise BadInput(
             f"what is saved with a run must be JSON (no NaN, no infinity): {error}. flatten_state takes the rest."
         ) from error
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Write `data` beside `path`, make sure it is on the disk, then rename it onto `path`."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    with contextlib.suppress(OSError):  # some systems cannot sync a folder
-        descriptor = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

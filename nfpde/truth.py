@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nfpde.errors import BadInput, NfpdeError
 from nfpde.parameters import ParameterSpace
+from nfpde.storage import read_json, write_whole
 
 SCHEMA_VERSION = 1
 
@@ -123,7 +124,7 @@ class Truth:
             content["population"] = {name: getattr(self.population, name).tolist() for name in names}
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+        write_whole(path, json.dumps(content, indent=1, ensure_ascii=False))
 
     @classmethod
     def load(cls, path: Path | str) -> Truth:
@@ -133,15 +134,7 @@ class Truth:
             BadInput: The file is missing, not JSON, of another schema, or breaks a rule of `Truth`.
         """
         path = Path(path)
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise BadInput(f"{path} cannot be read ({error.strerror})") from None
-        except ValueError as error:
-            raise BadInput(f"{path} is not JSON: {error}") from None
-        version = content.get("schema_version") if isinstance(content, dict) else None
-        if version != SCHEMA_VERSION:
-            raise BadInput(f"{path}: schema_version is {version!r}, this version of nfpde reads {SCHEMA_VERSION}")
+        content = read_json(path, SCHEMA_VERSION)
         try:
             population = Population(**content["population"]) if content.get("population") is not None else None
             space = ParameterSpace.from_json(content["space"])

@@ -11,6 +11,7 @@ PACKAGE = ROOT / "nfpde"
 # A unit may import only units of the rows above it; units of one row never import each other.
 ROWS = [
     {"errors", "kernels"},
+    {"storage"},
     {"progress", "checkpoint"},
     {"parameters"},
     {"elements"},
@@ -35,7 +36,7 @@ ONLY_IN = {
     "warp": ["sim", "kernels"],
     "typer": ["cli.py", "cli"],
 }
-WITHOUT_TORCH = ["errors", "progress", "parameters", "dataset", "elements", "effects", "sim"]
+WITHOUT_TORCH = ["errors", "storage", "progress", "parameters", "dataset", "elements", "effects", "sim"]
 
 
 def files_of(unit):

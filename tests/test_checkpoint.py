@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from nfpde import checkpoint
+from nfpde import storage
 from nfpde.checkpoint import flatten_state, load_state, restore_state, save_state
 from nfpde.errors import BadInput, CheckpointMismatch
 
@@ -58,7 +58,7 @@ def test_a_kill_at_any_moment_leaves_a_whole_state(tmp_path, monkeypatch, functi
     class Killed(BaseException):
         pass
 
-    where = os if function == "fsync" else checkpoint.Path
+    where = os if function == "fsync" else storage.Path
     original = getattr(where, function)
     calls = 0
 

@@ -1,7 +1,6 @@
 """Data sets as .csv, with the metadata in a file NAME.meta.json beside it."""
 
 import csv
-import os
 from pathlib import Path
 
 import pyarrow as pa
@@ -13,6 +12,7 @@ from nfpde.dataset.naming import naming
 from nfpde.dataset.recording import Recording
 from nfpde.dataset.tables import TableLayout, read_header, recording_of_table, table_of_dataset
 from nfpde.errors import BadDataset
+from nfpde.storage import write_whole
 
 
 def read_csv(path: Path) -> Recording:
@@ -112,6 +112,4 @@ def write_metadata(dataset: Dataset, path: Path) -> None:
         dataset: The data set.
         path: Where the metadata goes (see `metadata_path`).
     """
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(dataset.metadata.to_json() + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    write_whole(path, dataset.metadata.to_json() + "\n")

@@ -4,7 +4,6 @@ import hashlib
 import json
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from safetensors import SafetensorError
 from safetensors import torch as safetensors
@@ -13,6 +12,7 @@ from torch import Tensor
 from nfpde.errors import BadInput, NfpdeError, SpaceMismatch
 from nfpde.flow import Density, make_density
 from nfpde.parameters import ParameterSpace
+from nfpde.storage import read_json, write_whole
 
 SCHEMA_VERSION = 1
 JSON_FILE = "distribution.json"
@@ -32,14 +32,19 @@ def save(folder: Path | str, space: ParameterSpace, density: Density) -> None:
         "sha256": hashlib.sha256(data).hexdigest(),
         "versions": _versions(),
     }
-    _write(folder / TENSOR_FILE, data)
-    _write(folder / JSON_FILE, json.dumps(content, indent=1, ensure_ascii=False).encode())
+    write_whole(folder / TENSOR_FILE, data)
+    write_whole(folder / JSON_FILE, json.dumps(content, indent=1, ensure_ascii=False))
 
 
 def load(folder: Path | str, space: ParameterSpace | None = None) -> tuple[ParameterSpace, Density]:
     """Read both files; see `ParameterDistribution.load`."""
     path = Path(folder) / JSON_FILE
-    content = _read_json(path)
+    content = read_json(
+        path,
+        SCHEMA_VERSION,
+        missing="; is this the folder of a distribution?",
+        outdated="; save the distribution again with this version",
+    )
     try:
         saved = ParameterSpace.from_json(content["space"], source=str(path))
         density = make_density(content["density"])
@@ -56,22 +61,6 @@ def load(folder: Path | str, space: ParameterSpace | None = None) -> tuple[Param
         raise BadInput(f"{path}: a density of {density.features} features for {len(saved)} parameters")
     _load_tensors(path.with_name(TENSOR_FILE), density, content.get("sha256"))
     return saved, density
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}); is this the folder of a distribution?") from None
-    except ValueError as error:
-        raise BadInput(f"{path} is not JSON: {error}") from None
-    version = content.get("schema_version") if isinstance(content, dict) else None
-    if version != SCHEMA_VERSION:
-        raise BadInput(
-            f"{path}: schema_version is {version!r}, this version of nfpde reads {SCHEMA_VERSION}; save the "
-            "distribution again with this version"
-        )
-    return content
 
 
 def _load_tensors(path: Path, density: Density, sha256: object) -> None:
@@ -98,12 +87,6 @@ def _load_tensors(path: Path, density: Density, sha256: object) -> None:
     if hashlib.sha256(data).hexdigest() != sha256:
         raise BadInput(f"{path} is not the file that {JSON_FILE} was written for: their hashes differ; save both again")
     density.load_state_dict(tensors)
-
-
-def _write(path: Path, data: bytes) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(data)
-    temporary.replace(path)
 
 
 def _versions() -> dict[str, str]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nfpde.rl.policy import Policy
+from nfpde.storage import write_whole
 
 SCHEMA_VERSION = 1
 JSON_FILE = "train.json"
@@ -129,6 +130,4 @@ def write_json(result: TrainResult) -> None:
             "points": [asdict(p) for p in result.baseline.points],
         }
     result.folder.mkdir(parents=True, exist_ok=True)
-    temporary = result.folder / f"{JSON_FILE}.tmp"
-    temporary.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False), encoding="utf-8")
-    temporary.replace(result.folder / JSON_FILE)
+    write_whole(result.folder / JSON_FILE, json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))

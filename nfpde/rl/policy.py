@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from nfpde.errors import BadInput
+from nfpde.storage import write_whole
 
 Float32 = NDArray[np.float32]
 
@@ -119,13 +120,8 @@ class Policy:
             "action_low": self.low.tolist(),
             "action_high": self.high.tolist(),
         }
-        for name, write in (
-            (CONFIG_FILE, lambda path: path.write_text(json.dumps(config, indent=1), encoding="utf-8")),
-            (WEIGHTS_FILE, lambda path: save_file(dict(self.weights), path)),
-        ):
-            temporary = folder / f"{name}.tmp"
-            write(temporary)
-            temporary.replace(folder / name)
+        write_whole(folder / CONFIG_FILE, json.dumps(config, indent=1))
+        write_whole(folder / WEIGHTS_FILE, save(dict(self.weights)))
 
     def _layer(self, name: str, x: Float32) -> Float32:
         return x @ self.weights[f"{name}.weight"].T + self.weights[f"{name}.bias"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nfpde.errors import BadInput
+from nfpde.storage import write_whole
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -33,12 +34,9 @@ class ReplayFiles:
         rows = np.arange(first, end) % buffer.buffer_size
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"{first:012d}-{end:012d}.npz"
-        temporary = path.with_suffix(".tmp")
-        with temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **{name: getattr(buffer, name)[rows] for name in ARRAYS})
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        data = io.BytesIO()
+        np.savez(data, allow_pickle=False, **{name: getattr(buffer, name)[rows] for name in ARRAYS})
+        write_whole(path, data.getvalue())
 
     def clean(self, size: int, end: int) -> None:
         """Delete files that a buffer of `size` with `end` transitions in all has no use for."""

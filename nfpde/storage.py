@@ -1,0 +1,59 @@
+"""Files that are whole or not there at all, and JSON files that say which version wrote them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from nfpde.errors import BadInput
+
+
+def write_whole(path: Path, data: bytes | str) -> None:
+    """Replace a file at once: a kill at any moment leaves the old one or the new one, never a part.
+
+    The data is written beside `path`, brought to the disk, then renamed. A process that is killed may leave
+    `<name>.<process>.tmp` behind.
+
+    Args:
+        path: the file; its folder must exist.
+        data: the content; text is written as UTF-8.
+    """
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        file.write(data.encode() if isinstance(data, str) else data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    with contextlib.suppress(OSError):  # some systems cannot sync a folder
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def read_json(path: Path, schema_version: int, *, missing: str = "", outdated: str = "") -> dict[str, Any]:
+    """Read a JSON object whose entry `schema_version` is the one wanted.
+
+    Args:
+        path: the file.
+        schema_version: the version that is understood.
+        missing: ends the message where the file cannot be read: what to do.
+        outdated: the same where it is of another version.
+
+    Raises:
+        BadInput: the file cannot be read, is not JSON, or is of another version.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}){missing}") from None
+    except ValueError as error:
+        raise BadInput(f"{path} is not JSON: {error}") from None
+    version = content.get("schema_version") if isinstance(content, dict) else None
+    if version != schema_version:
+        raise BadInput(f"{path}: schema_version is {version!r}, this version of nfpde reads {schema_version}{outdated}")
+    return content

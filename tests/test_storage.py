@@ -1,0 +1,60 @@
+"""Files that are whole or not there, and JSON files of a stated version."""
+
+import json
+import os
+
+import pytest
+
+from nfpde.errors import BadInput
+from nfpde.storage import read_json, write_whole
+
+
+def test_content_comes_back_and_nothing_else_is_left(tmp_path):
+    """Bytes as they are, text as UTF-8, an older file replaced."""
+    path = tmp_path / "a.bin"
+    for content in (b"\x00\xff", b"shorter\n", "Grüße\n"):
+        write_whole(path, content)
+        assert path.read_bytes() == (content if isinstance(content, bytes) else content.encode("utf-8"))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("function", ["fsync", "replace"])
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch, function):
+    """A full disk or a kill before the rename: the old content is still there."""
+    path = tmp_path / "a.json"
+    write_whole(path, "old")
+
+    def fails(*_):
+        raise OSError("disk full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os if function == "fsync" else type(path), function, fails)
+        with pytest.raises(OSError, match="disk full"):
+            write_whole(path, "new")
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (None, r"a\.json cannot be read \(No such file or directory\); look again$"),
+        ("{", r"a\.json is not JSON: "),
+        ('"text"', r"a\.json: schema_version is None, this version of nfpde reads 2; write it again$"),
+        ('{"schema_version": 1}', r"a\.json: schema_version is 1, this version of nfpde reads 2; write it again$"),
+        ("[2]", "schema_version is None"),
+    ],
+)
+def test_files_that_are_refused(tmp_path, content, text):
+    """Missing, damaged, of another version: the message names the file and ends with what to do."""
+    path = tmp_path / "a.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(BadInput, match=text):
+        read_json(path, 2, missing="; look again", outdated="; write it again")
+
+
+def test_the_right_version_is_read(tmp_path):
+    """The object comes back as it was written."""
+    content = {"schema_version": 2, "name": "Grüße", "values": [1.5, None]}
+    write_whole(tmp_path / "a.json", json.dumps(content, ensure_ascii=False))
+    assert read_json(tmp_path / "a.json", 2) == content
