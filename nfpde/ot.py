@@ -79,6 +79,8 @@ def emd(
     a: ArrayLike | None = None,
     b: ArrayLike | None = None,
     metric: Metric = "euclidean",
+    *,
+    threads: int = 1,
 ) -> EmdResult:
     """Solves the transport problem between two point sets (the earth mover's distance).
 
@@ -90,6 +92,7 @@ def emd(
         a: Masses of x, (n,), not negative; None for equal masses.
         b: Masses of y, (m,), with the total of a (to 1e-9 relative); None for equal masses.
         metric: Cost of a pair: "euclidean", "sqeuclidean" (its square) or "cityblock". No root is taken.
+        threads: Threads that share the passes over all pairs; the answer has the same bits for any number.
 
     Returns:
         The optimal cost and plan, and the potentials that prove it.
@@ -106,17 +109,20 @@ def emd(
     if metric not in _METRICS:
         raise BadInput(f"metric is {metric!r}: choose one of {', '.join(_METRICS)}")
     points_x, points_y = _points(x, y)
-    answer = _rust_ot.solve_points(points_x, points_y, _vector("a", a), _vector("b", b), metric)
+    answer = _rust_ot.solve_points(points_x, points_y, _vector("a", a), _vector("b", b), metric, _threads(threads))
     return _result(answer, (len(points_x), len(points_y)))
 
 
-def emd_matrix(cost: ArrayLike, a: ArrayLike | None = None, b: ArrayLike | None = None) -> EmdResult:
+def emd_matrix(
+    cost: ArrayLike, a: ArrayLike | None = None, b: ArrayLike | None = None, *, threads: int = 1
+) -> EmdResult:
     """Solves the transport problem for a given cost matrix.
 
     Args:
         cost: Cost of each pair, (n, m), finite; negative costs are allowed.
         a: Masses of the rows, (n,), not negative; None for equal masses.
         b: Masses of the columns, (m,), with the total of a (to 1e-9 relative); None for equal masses.
+        threads: Threads that share the passes over all pairs; the answer has the same bits for any number.
 
     Returns:
         The optimal cost and plan, and the potentials that prove it.
@@ -130,12 +136,18 @@ def emd_matrix(cost: ArrayLike, a: ArrayLike | None = None, b: ArrayLike | None 
         0.25
     """
     costs = _matrix("cost", cost)
-    answer = _rust_ot.solve_matrix(costs, _vector("a", a), _vector("b", b))
+    answer = _rust_ot.solve_matrix(costs, _vector("a", a), _vector("b", b), _threads(threads))
     return _result(answer, (costs.shape[0], costs.shape[1]))
 
 
 def wasserstein(
-    x: ArrayLike, y: ArrayLike, p: float = 1, a: ArrayLike | None = None, b: ArrayLike | None = None
+    x: ArrayLike,
+    y: ArrayLike,
+    p: float = 1,
+    a: ArrayLike | None = None,
+    b: ArrayLike | None = None,
+    *,
+    threads: int = 1,
 ) -> float:
     """The p-Wasserstein distance (sum_ij P[i, j] |x[i] - y[j]|^p)^(1/p) of the optimal plan; the root is taken.
 
@@ -145,6 +157,7 @@ def wasserstein(
         p: Order, at least 1 and finite.
         a: Weights of x, (n,), not negative; None for equal weights. Weights are divided by their total.
         b: Weights of y, (m,), with the total of a (to 1e-9 relative); None for equal weights.
+        threads: Threads that share the passes over all pairs; the answer has the same bits for any number.
 
     Returns:
         The distance, in the unit of the coordinates.
@@ -162,13 +175,13 @@ def wasserstein(
     points_x, points_y = _points(x, y)
     weights_a, weights_b = _vector("a", a), _vector("b", b)
     if p == 1:
-        return emd(points_x, points_y, weights_a, weights_b).cost / _total(weights_a, weights_b)
+        return emd(points_x, points_y, weights_a, weights_b, threads=threads).cost / _total(weights_a, weights_b)
     unit = _unit(points_x, points_y)
     points_x, points_y = points_x / unit, points_y / unit
     if p == 2:
-        result = emd(points_x, points_y, weights_a, weights_b, "sqeuclidean")
+        result = emd(points_x, points_y, weights_a, weights_b, "sqeuclidean", threads=threads)
     else:
-        result = emd_matrix(_powers(points_x, points_y, p), weights_a, weights_b)
+        result = emd_matrix(_powers(points_x, points_y, p), weights_a, weights_b, threads=threads)
     if result.cost == 0 and not np.array_equal(points_x[result.plan.rows], points_y[result.plan.cols]):
         raise BadInput(f"p is {p}: at this order the costs of the plan vanish in double precision; lower p")
     return float((result.cost / _total(weights_a, weights_b)) ** (1 / p)) * unit
@@ -213,6 +226,13 @@ def _floats(name: str, values: ArrayLike) -> Floats:
     if array.dtype.kind not in "fiub":
         raise BadInput(f"{name} has dtype {array.dtype}: it must hold real numbers")
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def _threads(threads: int) -> int:
+    """A checked number of threads."""
+    if not isinstance(threads, int) or not 1 <= threads <= 1024:
+        raise BadInput(f"threads is {threads!r}: give a whole number from 1 to 1024")
+    return threads
 
 
 def _total(a: Floats | None, b: Floats | None) -> float:

@@ -113,3 +113,10 @@ def test_metric():
     """A metric that does not exist, with the choices."""
     with pytest.raises(BadInput, match="'cosine': choose one of euclidean, sqeuclidean, cityblock"):
         emd(X, Y, metric="cosine")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "2", 10**6])
+def test_threads(threads):
+    """A number of threads that makes no sense."""
+    with pytest.raises(BadInput, match=r"threads is .* whole number"):
+        emd(X, Y, threads=threads)

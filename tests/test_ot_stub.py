@@ -3,7 +3,10 @@
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.slow
 def test_stub_matches_the_built_module():
     """Mypy's stubtest finds no difference."""
     command = [sys.executable, "-m", "mypy.stubtest", "nfpde._rust_ot"]

@@ -22,15 +22,18 @@ pub struct Assignment {
     pub v: Vec<f64>,
 }
 
-/// Solves the assignment problem of a square table.
+/// Solves the assignment problem of a square table, from good potentials of the columns where there are some.
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
-pub fn solve(table: Table<'_>, watch: &mut Watch<'_>) -> Result<Assignment, OtError> {
+pub fn solve(table: Table<'_>, minus_v: Option<Vec<f64>>, watch: &mut Watch<'_>) -> Result<Assignment, OtError> {
     let n = table.cols;
     watch.ask()?;
     let mut state = State::new(n);
-    state.column_minima(table);
+    match minus_v {
+        Some(minus_v) => state.minus_v = minus_v,
+        None => state.column_minima(table),
+    }
     state.compete(table);
     let free: Vec<usize> = (0..n).filter(|&i| state.col_of[i] == FREE).collect();
     let mut path = Path::new(n);

@@ -9,6 +9,8 @@ pub mod certificate;
 pub mod coarse_to_fine;
 pub mod cost;
 pub mod error;
+pub mod few_columns;
+pub mod forest;
 pub mod masses;
 pub mod matrix;
 pub mod network_simplex;

@@ -124,13 +124,21 @@ impl Compensated {
     }
 }
 
-/// `value * 2^exponent` without overflow on the way.
+/// `value * 2^exponent` without overflow on the way; `exponent` may be as large as 3000 either way.
 #[must_use]
 pub fn times_power_of_two(value: f64, exponent: i32) -> f64 {
+    if exponent.abs() <= 1000 {
+        return value * power_of_two(exponent);
+    }
     let first = exponent / 3;
     let second = (exponent - first) / 2;
     let third = exponent - first - second;
-    value * 2f64.powi(first) * 2f64.powi(second) * 2f64.powi(third)
+    value * power_of_two(first) * power_of_two(second) * power_of_two(third)
+}
+
+/// `2^exponent` for exponents of normal numbers.
+fn power_of_two(exponent: i32) -> f64 {
+    f64::from_bits(((exponent + 1023) as u64) << 52)
 }
 
 /// The exponent `e` with `2^e <= |value| < 2^(e+1)`; `value` must be finite and not zero.

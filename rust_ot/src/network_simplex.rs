@@ -68,21 +68,21 @@ pub struct Table<'a> {
     pub cols: usize,
 }
 
-/// Finds the optimal tree for the table; `big` bounds every absolute cost.
+/// Improves a tree until it is optimal for the table; `big` bounds every absolute cost.
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
-pub fn solve(table: Table<'_>, rows: &[i64], cols: &[i64], big: f64, watch: &mut Watch<'_>) -> Result<Tree, OtError> {
-    let mut tree = Tree::star(rows, cols, if big > 0.0 { 1.01 * big } else { 1.0 });
+pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) -> Result<Tree, OtError> {
+    let rows = table.costs.len() / table.cols;
     let mut tolerance = Tolerance::new(big, tree.pi.len());
     watch.ask()?;
-    let block = ((2.0 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows.len());
+    let block = ((1.5 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows);
     let mut row = 0;
     loop {
         let mut clean = 0;
         let mut pivots = 0u64;
-        while clean < rows.len() {
-            let end = (row + block).min(rows.len());
+        while clean < rows {
+            let end = (row + block).min(rows);
             match price_rows(table, row..end, &tree, tolerance) {
                 Some((i, j, cost)) => {
                     watch.step()?;
@@ -93,7 +93,7 @@ pub fn solve(table: Table<'_>, rows: &[i64], cols: &[i64], big: f64, watch: &mut
                 }
                 None => clean += end - row,
             }
-            row = if end == rows.len() { 0 } else { end };
+            row = if end == rows { 0 } else { end };
         }
         if pivots == 0 {
             return Ok(tree);

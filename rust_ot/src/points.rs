@@ -5,6 +5,10 @@ use crate::error::{OtError, bad};
 use crate::masses::{exponent_of, times_power_of_two};
 use crate::simd::{LANES, vectorized};
 
+/// Above this cost and with exponents below this one, squares and results are far from the ends of the range.
+const SAFE_COST: f64 = 1e-100;
+const SAFE_EXPONENT: i32 = 500;
+
 /// Two sets of points; costs are direct differences in `f64`, never expanded squares.
 #[derive(Clone, Debug)]
 pub struct Points {
@@ -149,6 +153,10 @@ impl Cost for Points {
 
     fn unscaled(&self, row: usize, col: usize) -> f64 {
         let (x, y) = (self.row(row), self.col(col));
+        let scaled = distance(x, y, self.metric);
+        if scaled > SAFE_COST && self.exponent().abs() < SAFE_EXPONENT {
+            return times_power_of_two(scaled, self.exponent());
+        }
         let largest = x.iter().zip(y).fold(0.0_f64, |largest, (a, b)| largest.max((a - b).abs()));
         if largest == 0.0 {
             return 0.0;

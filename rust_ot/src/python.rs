@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 use crate::cost::Metric;
 use crate::matrix::Matrix;
+use crate::scan::Workers;
 use crate::{OtError, Solution, between_points, with_cost};
 
 type Weights<'py> = Option<PyReadonlyArray1<'py, f64>>;
@@ -73,7 +74,7 @@ fn metric_of(name: &str) -> PyResult<Metric> {
 
 /// Exact transport between points; C-contiguous float64 arrays of shape (n, d), (m, d), (n,), (m,).
 #[pyfunction]
-#[pyo3(signature = (x, y, a, b, metric))]
+#[pyo3(signature = (x, y, a, b, metric, threads))]
 fn solve_points<'py>(
     py: Python<'py>,
     x: PyReadonlyArray2<'py, f64>,
@@ -81,6 +82,7 @@ fn solve_points<'py>(
     a: Weights<'py>,
     b: Weights<'py>,
     metric: &str,
+    threads: usize,
 ) -> PyResult<Answer<'py>> {
     let metric = metric_of(metric)?;
     let dim = x.shape()[1];
@@ -89,22 +91,23 @@ fn solve_points<'py>(
     }
     let (x, y) = (x.as_slice()?, y.as_slice()?);
     let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
-    run(py, |go_on| between_points(x, y, dim, metric, weights, go_on))
+    run(py, |go_on| between_points(x, y, dim, metric, weights, &Workers::new(threads)?, go_on))
 }
 
 /// Exact transport for a C-contiguous float64 cost matrix of shape (n, m).
 #[pyfunction]
-#[pyo3(signature = (cost, a, b))]
+#[pyo3(signature = (cost, a, b, threads))]
 fn solve_matrix<'py>(
     py: Python<'py>,
     cost: PyReadonlyArray2<'py, f64>,
     a: Weights<'py>,
     b: Weights<'py>,
+    threads: usize,
 ) -> PyResult<Answer<'py>> {
     let cols = cost.shape()[1];
     let costs = cost.as_slice()?;
     let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
-    run(py, |go_on| with_cost(&Matrix::new(costs, cols)?, weights, go_on))
+    run(py, |go_on| with_cost(&Matrix::new(costs, cols)?, weights, &Workers::new(threads)?, go_on))
 }
 
 /// Exact optimal transport; called through nfpde.ot.

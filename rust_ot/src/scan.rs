@@ -4,10 +4,14 @@ use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::cost::Cost;
+use crate::error::{OtError, bad};
 use crate::simd::{ColumnBest, Improve, Sum, run};
 
 /// Pairs that are compared at once.
 const CHUNK: usize = 64;
+
+/// Columns between the first choices of neighbouring rows, a prime.
+const TIE_STRIDE: usize = 7919;
 
 /// A candidate arc: reduced cost, column, cost.
 pub type Candidate = (f64, u32, f64);
@@ -64,9 +68,15 @@ impl Scratch {
         }
     }
 
-    /// Keeps the `count` least candidates (ties by column), sorted.
-    fn keep(&mut self, count: usize) {
-        let order = |a: &Candidate, b: &Candidate| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+    /// Keeps the `count` least candidates, sorted.
+    ///
+    /// Ties go by the distance after a column that differs from row to row, so that rows with the same costs do not
+    /// all keep the same columns.
+    fn keep(&mut self, count: usize, row: usize) {
+        let cols = self.reduced.len();
+        let first = row * TIE_STRIDE % cols;
+        let turn = |col: u32| (col as usize + cols - first) % cols;
+        let order = |a: &Candidate, b: &Candidate| a.0.total_cmp(&b.0).then_with(|| turn(a.1).cmp(&turn(b.1)));
         if self.found.len() > count {
             self.found.select_nth_unstable_by(count - 1, order);
             self.found.truncate(count);
@@ -75,7 +85,7 @@ impl Scratch {
     }
 
     /// The `count` cheapest columns of the loaded row.
-    fn cheapest(&mut self, low: f64, count: usize) {
+    fn cheapest(&mut self, low: f64, count: usize, row: usize) {
         let count = count.min(self.reduced.len());
         if self.width <= 0.0 {
             self.width = low.abs().max(f64::MIN_POSITIVE) * 1e-3;
@@ -91,7 +101,7 @@ impl Scratch {
         if self.found.len() > 4 * count {
             self.width *= 0.7;
         }
-        self.keep(count);
+        self.keep(count, row);
     }
 }
 
@@ -121,27 +131,45 @@ impl WithSimd for Reduce<'_> {
 /// Rows that one task handles.
 const ROWS_A_TASK: usize = 64;
 
-/// Runs `task` over blocks of rows, on the threads of the current pool, and joins the parts in order.
-fn over_rows<T: Send>(n: usize, parallel: bool, task: impl Fn(std::ops::Range<usize>) -> T + Sync) -> Vec<T> {
-    let size = if parallel { ROWS_A_TASK.max(n / 64) } else { n.max(1) };
-    let range = |block: usize| block * size..((block + 1) * size).min(n);
-    if parallel {
-        (0..n.div_ceil(size)).into_par_iter().map(|block| task(range(block))).collect()
-    } else {
-        vec![task(0..n)]
+/// The threads that share the passes over all pairs; the results do not depend on their number.
+#[derive(Debug)]
+pub struct Workers(Option<rayon::ThreadPool>);
+
+impl Workers {
+    /// So many threads; one means the caller's own.
+    ///
+    /// # Errors
+    /// `BadInput` for zero threads, or more than the system gives.
+    pub fn new(threads: usize) -> Result<Self, OtError> {
+        match threads {
+            0 => Err(bad("threads is 0: give at least one".to_owned())),
+            1 => Ok(Self(None)),
+            _ => match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+                Ok(pool) => Ok(Self(Some(pool))),
+                Err(error) => Err(bad(format!("threads is {threads}: the system does not give as many ({error})"))),
+            },
+        }
+    }
+
+    /// Runs `task` over blocks of rows and joins the parts in order.
+    fn over_rows<T: Send>(&self, n: usize, task: impl Fn(std::ops::Range<usize>) -> T + Sync) -> Vec<T> {
+        let Some(pool) = &self.0 else { return vec![task(0..n)] };
+        let size = ROWS_A_TASK.max(n.div_ceil(8 * pool.current_num_threads()));
+        let range = |block: usize| block * size..((block + 1) * size).min(n);
+        pool.install(|| (0..n.div_ceil(size)).into_par_iter().map(|block| task(range(block))).collect())
     }
 }
 
 /// The `count` arcs of least reduced cost of every row, and the best row of every column.
-pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, parallel: bool) -> Pass {
+pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, workers: &Workers) -> Pass {
     let m = cost.cols();
-    let parts = over_rows(cost.rows(), parallel, |rows| {
+    let parts = workers.over_rows(cost.rows(), |rows| {
         let mut scratch = Scratch::new(m);
         let mut best = ColumnBest::new(m);
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
         for row in rows {
             let low = scratch.load(cost, row, minus_v);
-            scratch.cheapest(low, count);
+            scratch.cheapest(low, count, row);
             minima.push(low);
             arcs.push(scratch.found.clone());
             run(Improve { best: &mut best, reduced: &scratch.reduced, costs: &scratch.costs, low, row: row as f64 });
@@ -170,9 +198,9 @@ pub fn violated(
     minus_v: &[f64],
     count: usize,
     negative: impl Fn(f64, usize, usize, f64) -> bool + Sync,
-    parallel: bool,
+    workers: &Workers,
 ) -> Pass {
-    let parts = over_rows(cost.rows(), parallel, |rows| {
+    let parts = workers.over_rows(cost.rows(), |rows| {
         let mut scratch = Scratch::new(cost.cols());
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
         for row in rows {
@@ -182,7 +210,7 @@ pub fn violated(
             if low < u[row] {
                 scratch.collect(u[row]);
                 scratch.found.retain(|&(r, col, c)| negative(r - u[row], row, col as usize, c));
-                scratch.keep(count);
+                scratch.keep(count, row);
             }
             arcs.push(scratch.found.clone());
         }

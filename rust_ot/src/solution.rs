@@ -46,10 +46,10 @@ pub fn conclude(
     let mut moved = false;
     for &(i, j, flow) in &arcs {
         let mass = flow as f64 * masses.quantum;
-        scaled.add(mass * cost.at(i, j));
-        let value = mass * cost.unscaled(i, j);
-        moved |= cost.at(i, j) != 0.0;
-        total.add(value);
+        let price = cost.at(i, j);
+        scaled.add(mass * price);
+        total.add(mass * cost.unscaled(i, j));
+        moved |= price != 0.0;
     }
     let (n, m) = (cost.rows(), cost.cols());
     let primal = scaled.value();
@@ -57,8 +57,10 @@ pub fn conclude(
     let gap = certify(primal, &potentials, side(a, n), side(b, m), masses)?;
     let total = total.value();
     let smallest = primal != 0.0 && total.abs() < f64::MIN_POSITIVE;
-    let rescale = |v: &mut f64| *v = times_power_of_two(*v, cost.exponent());
-    potentials.alpha.iter_mut().chain(&mut potentials.beta).for_each(rescale);
+    if cost.exponent() != 0 {
+        let rescale = |v: &mut f64| *v = times_power_of_two(*v, cost.exponent());
+        potentials.alpha.iter_mut().chain(&mut potentials.beta).for_each(rescale);
+    }
     let all_finite = potentials.alpha.iter().chain(&potentials.beta).all(|v| v.is_finite());
     if !total.is_finite() || !all_finite || (moved && smallest) {
         return Err(bad(format!(

@@ -7,14 +7,14 @@ use crate::assignment::{Assignment, FREE};
 use crate::cost::Cost;
 use crate::error::OtError;
 use crate::network_simplex::Tolerance;
-use crate::scan::{self, Pass};
+use crate::scan::{self, Pass, Workers};
 use crate::watch::Watch;
 
 /// Arcs of least reduced cost that each row starts with, and missing arcs that a pass may add to a row.
 const SHORTLIST: usize = 24;
 const ADDED: usize = 10;
 /// Passes over all pairs before giving up; a handful is usual.
-const MAX_PASSES: usize = 200;
+const MAX_PASSES: usize = 30;
 
 /// Optimal assignment for a square cost, from good potentials of the columns; `None` when this way leads nowhere.
 ///
@@ -23,11 +23,11 @@ const MAX_PASSES: usize = 200;
 pub fn solve(
     cost: &dyn Cost,
     minus_v: &[f64],
-    parallel: bool,
+    workers: &Workers,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Assignment>, OtError> {
     watch.ask()?;
-    let pass = scan::shortlist(cost, minus_v, SHORTLIST, parallel);
+    let pass = scan::shortlist(cost, minus_v, SHORTLIST, workers);
     let mut arcs = columns_and_costs(&pass);
     for (col, &(row, c)) in pass.col_best.iter().enumerate() {
         let listed = &mut arcs[row as usize];
@@ -47,7 +47,7 @@ pub fn solve(
         let (u, minus_v) = (&matcher.state.u, matcher.state.v.iter().map(|v| -v).collect::<Vec<f64>>());
         let tolerance = Tolerance::of_potentials(u.iter().chain(&minus_v));
         let negative = |reduced, row: usize, col: usize, c| tolerance.is_negative(reduced, c, u[row], minus_v[col]);
-        let pass = scan::violated(cost, u, &minus_v, ADDED, negative, parallel);
+        let pass = scan::violated(cost, u, &minus_v, ADDED, negative, workers);
         arcs = columns_and_costs(&pass);
         if all && arcs.iter().all(Vec::is_empty) {
             for (u, low) in matcher.state.u.iter_mut().zip(&pass.row_minimum) {

@@ -7,6 +7,7 @@ use crate::error::OtError;
 use crate::masses::{Masses, integer_masses};
 use crate::one_dim;
 use crate::points::Points;
+use crate::scan::Workers;
 use crate::solution::{Solution, conclude};
 use crate::watch::Watch;
 
@@ -20,11 +21,12 @@ pub fn between_points(
     dim: usize,
     metric: Metric,
     weights: (Option<&[f64]>, Option<&[f64]>),
+    workers: &Workers,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Solution, OtError> {
     let points = Points::new(x, y, dim, metric)?;
     if dim > 1 {
-        return with_cost(&points, weights, go_on);
+        return with_cost(&points, weights, workers, go_on);
     }
     let (a, b) = weights;
     let masses = integer_masses(a, b, points.rows(), points.cols())?;
@@ -44,29 +46,35 @@ pub fn between_points(
 pub fn with_cost(
     cost: &dyn Cost,
     weights: (Option<&[f64]>, Option<&[f64]>),
+    workers: &Workers,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Solution, OtError> {
     let (a, b) = weights;
     let masses = integer_masses(a, b, cost.rows(), cost.cols())?;
     let pivots = 1_000_000 + 2_000 * (cost.rows() + cost.cols()) as u64;
-    let (arcs, potentials) = solve_core(cost, &masses, &mut Watch::new(go_on, pivots))?;
+    let (arcs, potentials) = solve_core(cost, &masses, workers, &mut Watch::new(go_on, pivots))?;
     conclude(cost, arcs, potentials, a, b, &masses)
 }
 
 type Arcs = Vec<(usize, usize, i64)>;
 
 /// Solves for the atoms that have mass, and gives the others potentials that fit.
-fn solve_core(cost: &dyn Cost, masses: &Masses, watch: &mut Watch<'_>) -> Result<(Arcs, Potentials), OtError> {
+fn solve_core(
+    cost: &dyn Cost,
+    masses: &Masses,
+    workers: &Workers,
+    watch: &mut Watch<'_>,
+) -> Result<(Arcs, Potentials), OtError> {
     let heavy = |side: &[i64]| -> Vec<usize> { (0..side.len()).filter(|&i| side[i] > 0).collect() };
     let (rows, cols) = (heavy(&masses.rows), heavy(&masses.cols));
     if rows.len() == cost.rows() && cols.len() == cost.cols() {
-        let best = coarse_to_fine::solve(cost, &masses.rows, &masses.cols, false, watch)?;
-        return Ok((best.arcs, tighten(cost, best.v)));
+        let best = coarse_to_fine::solve(cost, &masses.rows, &masses.cols, workers, watch)?;
+        return Ok((best.arcs, Potentials { alpha: best.u, beta: best.v }));
     }
     let part = cost.subset(&rows, &cols);
     let row_masses: Vec<i64> = rows.iter().map(|&i| masses.rows[i]).collect();
     let col_masses: Vec<i64> = cols.iter().map(|&j| masses.cols[j]).collect();
-    let best = coarse_to_fine::solve(&*part, &row_masses, &col_masses, false, watch)?;
+    let best = coarse_to_fine::solve(&*part, &row_masses, &col_masses, workers, watch)?;
     let arcs = best.arcs.iter().map(|&(i, j, mass)| (rows[i], cols[j], mass)).collect();
     let mut beta = vec![f64::INFINITY; cost.cols()];
     let mut row_costs = vec![0.0; cost.cols()];

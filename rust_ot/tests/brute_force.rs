@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use rust_ot::cost::{Cost, Metric};
 use rust_ot::matrix::Matrix;
 use rust_ot::points::Points;
+use rust_ot::scan::Workers;
 use rust_ot::{OtError, Solution, between_points, with_cost};
 
 fn least_assignment(costs: &[f64], n: usize) -> f64 {
@@ -74,7 +75,7 @@ proptest! {
     })) {
         let n = costs.len().isqrt();
         let matrix = Matrix::new(&costs, n).unwrap();
-        let solution = with_cost(&matrix, (None, None), &mut || true).unwrap();
+        let solution = with_cost(&matrix, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
         let expected = least_assignment(&costs, n) / n as f64;
         prop_assert!((solution.cost - expected).abs() < 1e-13);
         let weights = vec![1.0 / n as f64; n];
@@ -97,7 +98,7 @@ proptest! {
         let (a, b) = (real(&supply), real(&demand));
         let costs = &costs[..supply.len() * 4];
         let matrix = Matrix::new(costs, 4).unwrap();
-        let solution = with_cost(&matrix, (Some(&a), Some(&b)), &mut || true).unwrap();
+        let solution = with_cost(&matrix, (Some(&a), Some(&b)), &Workers::new(1).unwrap(), &mut || true).unwrap();
         let expected = least_shipment(costs, &mut supply.clone(), &mut demand);
         prop_assert!((solution.cost - expected).abs() < 1e-12);
         check(&solution, &matrix, &a, &b)?;
@@ -114,7 +115,7 @@ proptest! {
             if total == 0.0 { vec![1.0 / len as f64; len] } else { raw.iter().map(|w| w / total).collect() }
         };
         let (a, b) = (weights(x.len() / 2, 1), weights(y.len() / 2, 2));
-        let solution = between_points(&x, &y, 2, metric, (Some(&a), Some(&b)), &mut || true).unwrap();
+        let solution = between_points(&x, &y, 2, metric, (Some(&a), Some(&b)), &Workers::new(1).unwrap(), &mut || true).unwrap();
         check(&solution, &Points::new(&x, &y, 2, metric).unwrap(), &a, &b)?;
     }
 
@@ -122,8 +123,8 @@ proptest! {
     fn on_a_line_sorting_and_simplex_agree(x in points(1..40, 1), y in points(1..40, 1), squared: bool) {
         let metric = if squared { Metric::SqEuclidean } else { Metric::Euclidean };
         let cost = Points::new(&x, &y, 1, metric).unwrap();
-        let by_sorting = between_points(&x, &y, 1, metric, (None, None), &mut || true).unwrap();
-        let by_simplex = with_cost(&cost, (None, None), &mut || true).unwrap();
+        let by_sorting = between_points(&x, &y, 1, metric, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
+        let by_simplex = with_cost(&cost, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
         prop_assert!((by_sorting.cost - by_simplex.cost).abs() < 1e-12);
         check(&by_sorting, &cost, &vec![1.0 / x.len() as f64; x.len()], &vec![1.0 / y.len() as f64; y.len()])?;
     }
@@ -135,6 +136,32 @@ fn a_caller_can_stop_a_long_search() {
     let costs: Vec<f64> = (0..side * side).map(|k| f64::from((k as u32).wrapping_mul(2_654_435_761) >> 8)).collect();
     let matrix = Matrix::new(&costs, side).unwrap();
     let weights: Vec<f64> = (1..=side).map(|i| i as f64).collect();
-    let result = with_cost(&matrix, (Some(&weights), None), &mut || false);
+    let result = with_cost(&matrix, (Some(&weights), None), &Workers::new(1).unwrap(), &mut || false);
     assert_eq!(result.unwrap_err(), OtError::Interrupted);
+}
+
+#[test]
+fn threads_and_methods_give_one_answer() {
+    let coordinates = |salt: u32, len: u32| -> Vec<f64> {
+        (0..len).map(|k| f64::from((k + salt).wrapping_mul(2_654_435_761) >> 12) / 1e6).collect()
+    };
+    let (x, y) = (coordinates(1, 3 * 1300), coordinates(77_777, 3 * 1300));
+    let weights: Vec<f64> = (1..=1300).map(|i| 1.0 + f64::from(i % 7)).collect();
+    for weights in [None, Some(&weights[..])] {
+        let solve = |threads: usize| {
+            let workers = Workers::new(threads).unwrap();
+            between_points(&x, &y, 3, Metric::Euclidean, (weights, weights), &workers, &mut || true).unwrap()
+        };
+        let (one, three) = (solve(1), solve(3));
+        assert_eq!(one.cost.to_bits(), three.cost.to_bits());
+        assert_eq!(
+            (&one.alpha, &one.beta, &one.rows, &one.cols),
+            (&three.alpha, &three.beta, &three.rows, &three.cols)
+        );
+        let points = Points::new(&x, &y, 3, Metric::Euclidean).unwrap();
+        let total = weights.map_or(1.0, |w| w.iter().sum());
+        let a = weights.map_or(vec![1.0 / 1300.0; 1300], <[f64]>::to_vec);
+        assert!(one.gap.abs() < 1e-10 * total * one.cost);
+        check(&one, &points, &a, &a).unwrap();
+    }
 }

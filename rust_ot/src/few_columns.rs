@@ -1,0 +1,180 @@
+//! Many rows against few columns: mass moves along shortest paths between the columns.
+//!
+//! Every row first goes to its best column. Columns with too much then send mass to columns with too little; a step
+//! from column `j` to `k` moves the row that loses least by it. There are only as many nodes as columns.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use crate::error::OtError;
+use crate::forest::remove_cycles;
+use crate::network_simplex::Table;
+use crate::watch::Watch;
+
+/// Rows by what they lose when they change from one column to another; the loss is stored as ordered bits.
+type Movers = BinaryHeap<Reverse<(u64, u32)>>;
+
+/// The state of the search.
+struct Search<'a> {
+    table: Table<'a>,
+    flow: Vec<i64>,
+    excess: Vec<i64>,
+    v: Vec<f64>,
+    movers: Vec<Movers>,
+}
+
+/// An optimal plan and the potentials of the columns.
+#[derive(Clone, Debug)]
+pub struct Optimum {
+    /// Flow of every pair, row by row.
+    pub flow: Vec<i64>,
+    /// Potentials of the columns.
+    pub v: Vec<f64>,
+}
+
+/// Solves a table with few columns, from potentials `v` of the columns.
+///
+/// # Errors
+/// `Interrupted` or `NotOptimal`, from the watch.
+pub fn solve(
+    table: Table<'_>,
+    rows: &[i64],
+    cols: &[i64],
+    v: Vec<f64>,
+    watch: &mut Watch<'_>,
+) -> Result<Optimum, OtError> {
+    watch.ask()?;
+    let m = table.cols;
+    let mut flow = vec![0; table.costs.len()];
+    let mut excess: Vec<i64> = cols.iter().map(|b| -b).collect();
+    let mut losses: Vec<Vec<Reverse<(u64, u32)>>> = vec![Vec::new(); m * m];
+    for (i, costs) in table.costs.chunks_exact(m).enumerate() {
+        let mut best = 0;
+        for j in 1..m {
+            if costs[j] - v[j] < costs[best] - v[best] {
+                best = j;
+            }
+        }
+        flow[i * m + best] = rows[i];
+        excess[best] += rows[i];
+        for k in (0..m).filter(|&k| k != best) {
+            losses[best * m + k].push(Reverse((ordered(costs[k] - costs[best]), i as u32)));
+        }
+    }
+    let movers = losses.into_iter().map(BinaryHeap::from).collect();
+    let mut search = Search { table, flow, excess, v, movers };
+    let mut paths = Paths::new(m);
+    while search.improve(&mut paths) {
+        watch.step()?;
+    }
+    remove_cycles(&mut search.flow, m);
+    Ok(Optimum { flow: search.flow, v: search.v })
+}
+
+/// Bits that sort as the numbers do.
+fn ordered(value: f64) -> u64 {
+    let bits = value.to_bits();
+    if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
+}
+
+/// Shortest ways from the columns with too much.
+struct Paths {
+    distance: Vec<f64>,
+    before: Vec<usize>,
+    settled: Vec<bool>,
+    mover: Vec<u32>,
+}
+
+impl Paths {
+    fn new(m: usize) -> Self {
+        Self { distance: vec![0.0; m], before: vec![0; m], settled: vec![false; m], mover: vec![0; m] }
+    }
+}
+
+const NOWHERE: usize = usize::MAX;
+
+impl Search<'_> {
+    /// Sends mass along one shortest path; false when no column has too much.
+    fn improve(&mut self, paths: &mut Paths) -> bool {
+        let m = self.table.cols;
+        for j in 0..m {
+            paths.distance[j] = if self.excess[j] > 0 { 0.0 } else { f64::INFINITY };
+            paths.before[j] = NOWHERE;
+            paths.settled[j] = false;
+        }
+        let target = loop {
+            let open = (0..m).filter(|&j| !paths.settled[j] && paths.distance[j] < f64::INFINITY);
+            let Some(j) = open.reduce(|a, b| if paths.distance[b] < paths.distance[a] { b } else { a }) else {
+                return false;
+            };
+            if self.excess[j] < 0 {
+                break j;
+            }
+            paths.settled[j] = true;
+            for k in 0..m {
+                if !paths.settled[k]
+                    && let Some((loss, row)) = self.cheapest_mover(j, k)
+                {
+                    let length = paths.distance[j] + (loss + self.v[j] - self.v[k]).max(0.0);
+                    if length < paths.distance[k] {
+                        (paths.distance[k], paths.before[k], paths.mover[k]) = (length, j, row);
+                    }
+                }
+            }
+        };
+        let length = paths.distance[target];
+        for j in 0..m {
+            self.v[j] += paths.distance[j].min(length);
+        }
+        self.send(target, paths);
+        true
+    }
+
+    /// The row that loses least by a change from column `j` to `k`.
+    fn cheapest_mover(&mut self, j: usize, k: usize) -> Option<(f64, u32)> {
+        let m = self.table.cols;
+        let movers = &mut self.movers[j * m + k];
+        while let Some(&Reverse((_, row))) = movers.peek() {
+            let place = row as usize * m;
+            if self.flow[place + j] > 0 {
+                return Some((self.table.costs[place + k] - self.table.costs[place + j], row));
+            }
+            movers.pop();
+        }
+        None
+    }
+
+    /// Moves as much as the path to `target` allows.
+    fn send(&mut self, target: usize, paths: &Paths) {
+        let m = self.table.cols;
+        let mut amount = -self.excess[target];
+        let mut k = target;
+        while paths.before[k] != NOWHERE {
+            let j = paths.before[k];
+            amount = amount.min(self.flow[paths.mover[k] as usize * m + j]);
+            k = j;
+        }
+        amount = amount.min(self.excess[k]);
+        self.excess[k] -= amount;
+        self.excess[target] += amount;
+        k = target;
+        while paths.before[k] != NOWHERE {
+            let (j, row) = (paths.before[k], paths.mover[k] as usize);
+            self.flow[row * m + j] -= amount;
+            if self.flow[row * m + k] == 0 {
+                self.arrive(row, k);
+            }
+            self.flow[row * m + k] += amount;
+            k = j;
+        }
+    }
+
+    /// Lets a row that now has mass in column `j` move on from there.
+    fn arrive(&mut self, row: usize, j: usize) {
+        let m = self.table.cols;
+        let costs = &self.table.costs[row * m..(row + 1) * m];
+        for k in (0..m).filter(|&k| k != j) {
+            self.movers[j * m + k].push(Reverse((ordered(costs[k] - costs[j]), row as u32)));
+        }
+    }
+}

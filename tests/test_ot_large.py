@@ -1,0 +1,162 @@
+"""nfpde.ot where tables do not fit: methods for large sets, memory, threads, interruption, and random small inputs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import ot as pot
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from nfpde.errors import BadInput
+from nfpde.ot import emd, emd_matrix, wasserstein
+from tests.ot_cases import check_certificate, clouds, distances, masses
+
+#: Two exact solvers differ by rounding only.
+SAME = 1e-12
+
+
+@pytest.mark.parametrize("kind", ["gauss", "mix", "lattice", "duplicates", "far"])
+@pytest.mark.parametrize(("n", "m", "d"), [(1201, 1201, 3), (900, 1500, 2), (1150, 1151, 12)])
+def test_weighted_sets_beyond_the_table(kind, n, m, d):
+    """Short lists of arcs with passes over all pairs give POT's cost and a certificate."""
+    x, y = clouds(kind, n, m, d)
+    a, b = masses("random", n, m)
+    cost = distances(x, y)
+    result = emd(x, y, a, b)
+    check_certificate(result, cost, a, b)
+    assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
+
+
+@pytest.mark.parametrize("kind", ["gauss", "mix", "lattice", "duplicates", "far"])
+@pytest.mark.parametrize(("n", "d"), [(1201, 2), (1300, 6)])
+def test_assignments_beyond_the_table(kind, n, d):
+    """Augmenting paths on short lists of arcs give SciPy's cost and a certificate."""
+    x, y = clouds(kind, n, n, d)
+    cost = distances(x, y)
+    result = emd(x, y)
+    check_certificate(result, cost, *masses("uniform", n, n))
+    assert result.cost == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=SAME)
+
+
+@pytest.mark.parametrize("weights", ["uniform", "random", "skewed"])
+@pytest.mark.parametrize(("n", "m"), [(2000, 10), (7, 1500), (300, 2), (150, 32)])
+@pytest.mark.parametrize("kind", ["gauss", "lattice"])
+def test_few_points_against_many(kind, n, m, weights):
+    """A few points against many, either way round."""
+    x, y = clouds(kind, n, m, 3)
+    a, b = masses(weights, n, m)
+    cost = distances(x, y)
+    result = emd(x, y, a, b)
+    check_certificate(result, cost, a, b)
+    assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
+
+
+def test_skewed_weights_beyond_the_table():
+    """Weights over many decades, some of them zero."""
+    x, y = clouds("mix", 1200, 1100, 4)
+    a, b = masses("skewed", 1200, 1100)
+    a[::3], b[::5] = 0, 0
+    a, b = a / a.sum(), b / b.sum()
+    cost = distances(x, y)
+    result = emd(x, y, a, b)
+    check_certificate(result, cost, a, b)
+    assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
+
+
+def test_large_matrix_without_structure():
+    """Random costs have no geometry to lean on."""
+    rng = np.random.default_rng(0)
+    cost = rng.normal(size=(1200, 1250))
+    a, b = masses("random", 1200, 1250)
+    result = emd_matrix(cost, a, b)
+    check_certificate(result, cost, a, b)
+    assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
+
+
+@pytest.mark.parametrize("weights", ["uniform", "random"])
+def test_threads_do_not_change_a_bit(weights):
+    """One, two and three threads give the same bits."""
+    x, y = clouds("mix", 1200, 1200, 5)
+    a, b = masses(weights, 1200, 1200)
+    one = emd(x, y, a, b)
+    for threads in (2, 3):
+        other = emd(x, y, a, b, threads=threads)
+        assert other.cost == one.cost
+        assert np.array_equal(other.plan.cols, one.plan.cols)
+        assert np.array_equal(other.potentials[0], one.potentials[0])
+
+
+def test_random_small_inputs():
+    """A few thousand small problems of every kind: POT's cost, or a refusal where one is due."""
+    rng = np.random.default_rng(12)
+    for trial in range(3000):
+        n, m, d = rng.integers(1, 9, 3)
+        x, y = rng.normal(size=(n, d)), rng.normal(size=(m, d))
+        if trial % 3 == 0:
+            x, y = np.round(x), np.round(y)
+        a, b = rng.integers(0, 3, n).astype(float), rng.integers(0, 3, m) + rng.random(m) * (trial % 2)
+        if trial % 5 == 0:
+            x = x * 10.0 ** rng.integers(-8, 9)
+        if not a.any() or not b.any():
+            with pytest.raises(BadInput, match="has no mass"):
+                emd(x, y, a, b)
+            continue
+        a, b = a / a.sum(), b / b.sum()
+        metric = ("euclidean", "sqeuclidean", "cityblock")[trial % 3]
+        cost = distances(x, y, metric)
+        expected = pot.emd2(a, b, cost / cost.max(), numItermax=10**9) * cost.max() if cost.max() > 0 else 0.0
+        result = emd(x, y, a, b, metric)
+        assert result.cost == pytest.approx(expected, rel=1e-11, abs=1e-13 * cost.max()), (trial, n, m, d)
+        check_certificate(result, cost, a, b)
+        if trial % 7 == 0:
+            bad = x.copy()
+            bad[rng.integers(n), rng.integers(d)] = rng.choice([np.nan, np.inf, -np.inf])
+            with pytest.raises(BadInput, match="must be finite"):
+                wasserstein(bad, y, 2, a, b)
+
+
+def test_interruption():
+    """Ctrl-C ends a long search at once and leaves the interpreter usable."""
+    x, y = clouds("gauss", 20000, 20000, 6)
+    a, b = masses("random", 20000, 20000)
+    threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        emd(x, y, a, b)
+    assert time.monotonic() - start < 10
+    assert wasserstein([[0.0]], [[1.0]]) == 1
+
+
+MEMORY = """
+import resource, sys
+import numpy as np
+from nfpde import _rust_ot
+rng = np.random.default_rng(0)
+x, y = rng.normal(size=(20000, 6)), 0.5 + 1.2 * rng.normal(size=(20000, 6))
+a = b = None
+if sys.argv[1] == "random":
+    a, b = rng.exponential(size=20000), rng.exponential(size=20000)
+    a, b = a / a.sum(), b / b.sum()
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 200 * 2**20
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+print(_rust_ot.solve_points(x, y, a, b, "euclidean", 1)[6])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weights", ["uniform", "random"])
+def test_memory_of_twenty_thousand_points(weights):
+    """20,000 against 20,000 points (a table of 3.2 GB) are solved within 200 MB."""
+    result = subprocess.run(
+        [sys.executable, "-c", MEMORY, weights], capture_output=True, text=True, timeout=600, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert abs(float(result.stdout)) < 1e-12
