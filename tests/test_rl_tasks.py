@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from nfpde.benchmarks.pendulum import PENDULUM_XML
 from nfpde.errors import BadInput
 from nfpde.rl import TASKS, evaluate_policy, make_environment
-from nfpde.rl.tasks import PENDULUM_XML
 
 
 @pytest.mark.parametrize(("name", "identifier"), TASKS.items())

@@ -9,6 +9,7 @@ from pathlib import Path
 import gymnasium
 import mujoco
 
+from nfpde.benchmarks.pendulum import PENDULUM_ID, PENDULUM_XML
 from nfpde.elements import element_names
 from nfpde.errors import BadInput
 from nfpde.parameters import Parameter, ParameterSpace, Target
@@ -20,14 +21,14 @@ SPREAD = 0.5
 
 @dataclass(frozen=True)
 class Robot:
-    """A Gymnasium v5 robot with unknown masses, joint dampings and floor friction.
+    """A robot with a Gymnasium environment and unknown masses, joint dampings and floor friction.
 
     Bounds are the nominal value -50 % and +50 %: the paper prints none.
 
     Attributes:
         name: for the command line.
         env_id: Gymnasium's id.
-        asset: file of the model among Gymnasium's.
+        asset: file of the model among Gymnasium's, or a whole path.
         masses: bodies (a tuple: they share one mass, as the left and right leg of one robot do).
         dampings: joints, likewise.
         friction: the element whose sliding friction gives the nominal value, or None. A contact takes the larger
@@ -108,7 +109,13 @@ ROBOTS = {
         Robot("humanoid", "Humanoid-v5", "humanoid.xml", _HUMANOID_BODIES, _HUMANOID_JOINTS),
     )
 }
-"""Robots by name: 6, 7, 14 and 30 parameters."""
+"""The paper's robots by name: 6, 7, 14 and 30 parameters."""
+
+BENCHMARKS = {
+    **ROBOTS,
+    "pendulum": Robot("pendulum", PENDULUM_ID, str(PENDULUM_XML), ("pendulum",), ("hinge",)),
+}
+"""All robots by name: the paper's, and a pendulum with 2 parameters on which the whole way takes minutes."""
 
 
 def robot(name: str) -> Robot:
@@ -117,6 +124,6 @@ def robot(name: str) -> Robot:
     Raises:
         BadInput: there is none.
     """
-    if name not in ROBOTS:
-        raise BadInput(f"no benchmark robot is called {name!r}; there are: {', '.join(ROBOTS)}")
-    return ROBOTS[name]
+    if name not in BENCHMARKS:
+        raise BadInput(f"no benchmark robot is called {name!r}; there are: {', '.join(BENCHMARKS)}")
+    return BENCHMARKS[name]

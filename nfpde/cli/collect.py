@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from nfpde.benchmarks import ROBOTS, Target, collect, robot
+from nfpde.benchmarks import BENCHMARKS, Target, collect, robot
 from nfpde.dataset import save_dataset
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="ROBOT", help=f"one of: {', '.join(ROBOTS)}")],
+    name: Annotated[str, typer.Argument(metavar="ROBOT", help=f"one of: {', '.join(BENCHMARKS)}")],
     out: Annotated[Path, typer.Option(help="folder for data.npz, truth.json and parameters.toml")],
     target: Annotated[Target, typer.Option(help="population that the robots are drawn from")] = "gaussian",
     episodes: Annotated[int, typer.Option(help="robots, one episode each")] = 10,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nfpde.benchmarks import ROBOTS
+from nfpde.benchmarks import BENCHMARKS
 from nfpde.dataset import Dataset, load_dataset
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import MujocoSimulator
 
-MODEL_HELP = f"MJCF or URDF file, or a benchmark robot: {', '.join(ROBOTS)}"
+MODEL_HELP = f"MJCF or URDF file, or a benchmark robot: {', '.join(BENCHMARKS)}"
 
 
 def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
@@ -20,9 +20,9 @@ def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
         BadInput: neither a file nor a benchmark robot, or a model file without parameters to estimate.
         NfpdeError: whatever is wrong with the model or the parameters.
     """
-    known = ROBOTS.get(model)
+    known = BENCHMARKS.get(model)
     if known is None and not Path(model).is_file():
-        raise BadInput(f"{model!r} is neither a file nor a benchmark robot ({', '.join(ROBOTS)})")
+        raise BadInput(f"{model!r} is neither a file nor a benchmark robot ({', '.join(BENCHMARKS)})")
     if params is None and known is None:
         raise BadInput(
             f"say with --params which parameters of {model} are unknown: a TOML file of [[parameter]] tables with "
