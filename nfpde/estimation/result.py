@@ -9,6 +9,7 @@ from typing import Any
 
 from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput
+from nfpde.storage import read_json, write_whole
 
 SCHEMA_VERSION = 1
 
@@ -40,9 +41,7 @@ class FitResult:
         if self.episodes is not None:
             self.episodes.save(folder / "episodes")
         content = {"schema_version": SCHEMA_VERSION, **self.info, "history": self.history}
-        temporary = folder / "fit.json.tmp"
-        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
-        temporary.replace(folder / "fit.json")
+        write_whole(folder / "fit.json", json.dumps(content, indent=1, ensure_ascii=False))
 
     @classmethod
     def load(cls, folder: str | Path) -> FitResult:
@@ -53,15 +52,10 @@ class FitResult:
         """
         folder = Path(folder)
         path = folder / "fit.json"
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise BadInput(f"{path} cannot be read ({error.strerror}); is this the folder of a fit?") from None
-        except ValueError as error:
-            raise BadInput(f"{path} is not JSON: {error}") from None
-        found = content.pop("schema_version", None) if isinstance(content, dict) else None
-        if found != SCHEMA_VERSION or "history" not in content:
-            raise BadInput(f"{path}: schema_version is {found!r}, this version of nfpde reads {SCHEMA_VERSION}")
+        content = read_json(path, SCHEMA_VERSION, missing="; is this the folder of a fit?")
+        del content["schema_version"]
+        if "history" not in content:
+            raise BadInput(f"{path}: the entry 'history' is missing")
         distribution = ParameterDistribution.load(folder / "distribution")
         initial = ParameterDistribution.load(folder / "initial", distribution.space)
         inner = folder / "episodes"
