@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -62,7 +63,8 @@ class Parameter:
         name: shown in tables and plots, unique in a space; by default `field:target`.
 
     Raises:
-        BadParameter: bounds that are not finite and increasing, or an empty target.
+        BadParameter: bounds that are not finite and increasing or whose width float64 cannot hold, an empty field or
+            target, or a value of the wrong type.
 
     Example:
         >>> Parameter("body_mass", "thigh", 2.0, 6.0).name
@@ -80,25 +82,47 @@ class Parameter:
     name: str = ""
 
     def __post_init__(self) -> None:
-        target = self.target
-        if isinstance(target, list):
-            target = tuple(target)
-            object.__setattr__(self, "target", target)
-        shown = target if not isinstance(target, tuple) else "+".join(str(t) for t in target)
+        shown = self._check_target()
+        for key in ("field", "unit", "name"):
+            if not isinstance(getattr(self, key), str):
+                raise BadParameter(f"parameter {shown}: {key} must be a text, got {getattr(self, key)!r}")
         if not self.name:
             suffix = f"[{self.component}]" if self.component else ""
-            object.__setattr__(self, "name", self.field + ("" if target is None else f":{shown}") + suffix)
+            object.__setattr__(self, "name", shown + suffix)
         if not self.unit and not self.relative:
             object.__setattr__(self, "unit", UNITS.get(self.field, ""))
-        if not self.field or target == () or target == "":
+        if not self.field or self.target in ((), ""):
             raise BadParameter(f"parameter {self.name!r}: field and target may not be empty")
+        for key in ("relative", "scale_inertia"):
+            if not isinstance(getattr(self, key), bool):
+                raise BadParameter(f"parameter {self.name!r}: {key} must be true or false, got {getattr(self, key)!r}")
+        if isinstance(self.component, bool) or not isinstance(self.component, int) or self.component < 0:
+            raise BadParameter(f"parameter {self.name!r}: component must be an integer >= 0, got {self.component!r}")
+        self._check_bounds()
+
+    def _check_target(self) -> str:
+        """Turn a list of targets into a tuple, check their types, and return the parameter's name by default."""
+        given = self.target
+        single = [
+            int(t) if isinstance(t, np.integer) else t for t in (given if isinstance(given, list | tuple) else [given])
+        ]
+        target = tuple(single) if isinstance(given, list | tuple) else single[0]
+        object.__setattr__(self, "target", target)
+        if target is not None and any(isinstance(t, bool) or not isinstance(t, str | int) for t in single):
+            raise BadParameter(
+                f"parameter {self.field}: target must be a name, an id (an integer) or a list of them, got {target!r}"
+            )
+        return f"{self.field}" if target is None else f"{self.field}:{'+'.join(str(t) for t in single)}"
+
+    def _check_bounds(self) -> None:
         for which in ("low", "high"):
             value = getattr(self, which)
             if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
                 raise BadParameter(f"parameter {self.name!r}: {which} must be a number, got {value!r}")
-            if not math.isfinite(value):
+            if abs(value) > sys.float_info.max or value != value:
+                shown = f"{value}" if isinstance(value, float | np.floating) else "an integer beyond float64"
                 raise BadParameter(
-                    f"parameter {self.name!r}: {which} is {value}; both bounds must be given and finite: they are the "
+                    f"parameter {self.name!r}: {which} is {shown}; both bounds must be given and finite: they are the "
                     "prior knowledge the fit starts from"
                 )
             object.__setattr__(self, which, float(value))
@@ -107,8 +131,12 @@ class Parameter:
                 f"parameter {self.name!r}: low ({self.low:g}) must be below high ({self.high:g}); to fix a value, set "
                 "it in the model and leave the parameter out"
             )
-        if isinstance(self.component, bool) or not isinstance(self.component, int) or self.component < 0:
-            raise BadParameter(f"parameter {self.name!r}: component must be an integer >= 0, got {self.component!r}")
+        if not sys.float_info.min <= self.high - self.low <= sys.float_info.max:
+            raise BadParameter(
+                f"parameter {self.name!r}: high - low is {self.high - self.low:g} for the bounds {self.low:g} and "
+                f"{self.high:g}; it must lie between {sys.float_info.min:.2g} and {sys.float_info.max:.2g}, the range "
+                "of float64: use another unit"
+            )
 
 
 class ParameterSpace:

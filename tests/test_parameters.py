@@ -84,6 +84,7 @@ def test_names_and_units():
     assert Parameter("body_mass", 3, 0.5, 2.0, relative=True).unit == ""
     assert Parameter("geom_friction", "*", 0.5, 2.0, name="floor", unit="-").name == "floor"
     assert Parameter("x", ["a", 1], 0, 1).target == ("a", 1)  # type: ignore[arg-type]
+    assert type(Parameter("x", np.int64(3), 0, 1).target) is int  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -100,6 +101,16 @@ def test_names_and_units():
         ({"low": 0.0, "high": 1.0, "target": ()}, "field and target may not be empty"),
         ({"low": 0.0, "high": 1.0, "target": ""}, "field and target may not be empty"),
         ({"low": 0.0, "high": 1.0, "field": ""}, "field and target may not be empty"),
+        ({"low": 0.0, "high": 1.0, "field": 5}, "parameter 5:torso: field must be a text, got 5"),
+        ({"low": 0.0, "high": 1.0, "name": 3}, "parameter body_mass:torso: name must be a text, got 3"),
+        ({"low": 0.0, "high": 1.0, "unit": 5}, "parameter body_mass:torso: unit must be a text, got 5"),
+        ({"low": 0.0, "high": 1.0, "relative": "yes"}, "relative must be true or false, got 'yes'"),
+        ({"low": 0.0, "high": 1.0, "scale_inertia": 1}, "scale_inertia must be true or false, got 1"),
+        ({"low": 0.0, "high": 1.0, "target": 1.5}, r"target must be a name, an id .* or a list of them, got 1.5"),
+        ({"low": 0.0, "high": 1.0, "target": ["a", True]}, r"target must be a name.* got \('a', True\)"),
+        ({"low": 0.0, "high": 10**400}, "high is an integer beyond float64; both bounds must be given and finite"),
+        ({"low": -1e308, "high": 1e308}, r"high - low is inf for the bounds -1e\+308 and 1e\+308; it must lie between"),
+        ({"low": 0.0, "high": 5e-324}, "high - low is 4.94066e-324 for .* between 2.2e-308 and 1.8e.308, the range of"),
     ],
 )
 def test_a_bad_parameter_is_refused(arguments, text):
@@ -172,6 +183,10 @@ def test_toml_round_trip(tmp_path):
         ("parameter = [3]", "parameter 0: expected a table, got 3"),
         ("[[parameter]]\nfield='a'\nlow=0\nhigh=1\nnominal=2", "parameter 0: unknown key 'nominal'; known: component"),
         ("[[parameter]]\nfield='a'\nlow=0", "parameter 0: high missing"),
+        ("[[parameter]]\nfield=5\nlow=0\nhigh=1", "parameter 0: parameter 5: field must be a text, got 5"),
+        ("[[parameter]]\nfield='a'\nlow=0\nhigh=1\nname=3", "parameter 0: .*: name must be a text, got 3"),
+        ("[[parameter]]\nfield='a'\nlow=0\nhigh=1\nrelative='yes'", "parameter 0: .*relative must be true or false"),
+        ("[[parameter]]\nfield='a'\nlow=0\nhigh=1\ntarget={b=1}", "parameter 0: .*target must be a name"),
         ("[[parameter]]\nfield='a'\nlow=0\nhigh=1\n[[parameter]]\nfield='b'\nlow=1\nhigh=0", "parameter 1: .*'b': low"),
     ],
 )
