@@ -39,7 +39,7 @@ class Population:
         for name in ("weights", "means", "covariances"):
             object.__setattr__(self, name, _array(f"population.{name}", getattr(self, name)))
         k, d = self.means.shape if self.means.ndim == 2 else (0, 0)
-        if not k or self.weights.shape != (k,) or self.covariances.shape != (k, d, d):
+        if not k or not d or self.weights.shape != (k,) or self.covariances.shape != (k, d, d):
             raise BadInput(
                 "a population needs weights (K,), means (K, D) and covariances (K, D, D), got "
                 f"{self.weights.shape}, {self.means.shape} and {self.covariances.shape}"
@@ -93,19 +93,23 @@ class Truth:
     population: Population | None = None
 
     def __post_init__(self) -> None:
+        given = _array("xi", self.xi)
         try:
-            xi = _array("xi", self.space.check(self.xi))
+            xi = _array("xi", self.space.check(given))
         except NfpdeError as error:
             raise BadInput(f"true parameters: {error}") from None
         object.__setattr__(self, "xi", xi)
-        object.__setattr__(self, "episodes", tuple(self.episodes))
+        names = self.episodes
+        if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(e, str) for e in names):
+            raise BadInput(f"episodes must be a list of texts, the episodes' names; got {_short(names)}")
+        object.__setattr__(self, "episodes", tuple(names))
         if len(self.episodes) != len(xi) or not len(xi):
             raise BadInput(
                 f"there are {len(xi)} true parameter vectors and {len(self.episodes)} episode names; give one of each "
                 "for every episode"
             )
-        if len(set(self.episodes)) != len(self.episodes) or not all(isinstance(e, str) for e in self.episodes):
-            raise BadInput(f"episode names must be unique texts, got {list(self.episodes)}")
+        if len(set(self.episodes)) != len(self.episodes):
+            raise BadInput(f"episode names must be unique, got {list(self.episodes)}")
         if self.population is not None and self.population.means.shape[1] != len(self.space):
             raise BadInput(
                 f"the population has {self.population.means.shape[1]} parameters, the space {len(self.space)}"
@@ -136,18 +140,39 @@ class Truth:
         path = Path(path)
         content = read_json(path, SCHEMA_VERSION)
         try:
-            population = Population(**content["population"]) if content.get("population") is not None else None
-            space = ParameterSpace.from_json(content["space"])
-            return cls(space, content["xi"], content["episodes"], population)
+            space = ParameterSpace.from_json(content["space"], "space")
+            return cls(space, content["xi"], content["episodes"], _population(content.get("population")))
         except KeyError as error:
             raise BadInput(f"{path}: the entry {error} is missing") from None
-        except (TypeError, ValueError, NfpdeError) as error:
+        except NfpdeError as error:
             raise BadInput(f"{path}: {error}") from None
 
 
+def _population(entry: object) -> Population | None:
+    """What a file says about the population."""
+    if entry is None:
+        return None
+    names = list(Population.__dataclass_fields__)
+    if not isinstance(entry, dict) or set(entry) != set(names):
+        found = ", ".join(entry) or "nothing" if isinstance(entry, dict) else _short(entry)
+        raise BadInput(f"population must be an object with the entries {', '.join(names)}; found: {found}")
+    return Population(**entry)
+
+
 def _array(name: str, values: object) -> NDArray[np.float64]:
-    array = np.array(values, dtype=np.float64)
+    try:
+        array = np.array(values)
+    except ValueError:
+        raise BadInput(f"{name} must be numbers in lists of equal length") from None
+    if array.dtype.kind not in "iuf":
+        raise BadInput(f"{name} must hold numbers and nothing else, got {_short(values)}")
+    array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise BadInput(f"{name} holds a number that is not finite")
     array.flags.writeable = False
     return array
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -85,6 +85,24 @@ def test_population_refuses(arguments, text):
         Population(*arguments)
 
 
+MALFORMED = [
+    ("xi", [[1.0], [1.0, 2.0]], "xi must be numbers in lists of equal length"),
+    ("xi", [["3", "0.1"], ["4", "0.2"]], r"xi must hold numbers and nothing else, got \[\['3', '0.1'\]"),
+    ("xi", None, "xi must hold numbers and nothing else, got None"),
+    ("xi", 3, r"true parameters: .*shape \(n, 2\), got \(1, 1\)"),
+    ("xi", [[3.0, 0.1], [4.0, float("nan")]], "xi holds a number that is not finite"),
+    ("episodes", 5, "episodes must be a list of texts, .*; got 5"),
+    ("episodes", "ab", "episodes must be a list of texts, .*; got 'ab'"),
+    ("episodes", [["a"], ["b"]], "episodes must be a list of texts"),
+    ("space", 5, "space: expected an object with a list 'parameters'"),
+    ("space", {"parameters": [3]}, "space, parameter 0: expected a table, got 3"),
+    ("population", 5, "population must be an object with the entries weights, means, covariances; found: 5"),
+    ("population", {"weights": [1.0]}, "population must be an object with .* means, covariances; found: weights"),
+    ("population", {"weights": "a", "means": [], "covariances": []}, "population.weights must hold numbers"),
+    ("population", {"weights": [1.0], "means": [[]], "covariances": [[]]}, r"population needs weights \(K,\)"),
+]
+
+
 def test_truth_refuses(tmp_path):
     """Values outside the box, names that do not fit and broken files are named."""
     with pytest.raises(BadInput, match=r"true parameters: row 1: mass = 7 lies outside \[2, 6\]"):
@@ -105,8 +123,7 @@ def test_truth_refuses(tmp_path):
         ("{", "is not JSON"),
         (json.dumps({**good, "schema_version": 9}), "schema_version is 9"),
         (json.dumps({k: v for k, v in good.items() if k != "xi"}), "the entry 'xi' is missing"),
-        (json.dumps({**good, "xi": [[1.0], [1.0, 2.0]]}), r"truth\.json: "),
-        (json.dumps({**good, "population": {"weights": [1.0]}}), r"truth\.json: .*means"),
+        *((json.dumps({**good, name: value}), rf"truth\.json: .*{text}") for name, value, text in MALFORMED),
     ]:
         path.write_text(content)
         with pytest.raises(BadInput, match=text):
