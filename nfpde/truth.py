@@ -82,6 +82,7 @@ class Truth:
         xi: (E, D), in physical units, inside the box.
         episodes: E names of episodes, as in the data set.
         population: What `xi` was drawn from; None where that is not known.
+        dataset: `Dataset.content_hash` of the recordings that it is the truth of; None where that is not known.
 
     Raises:
         BadInput: Shapes or names that do not fit, or a value outside the box.
@@ -91,6 +92,7 @@ class Truth:
     xi: NDArray[np.float64]
     episodes: Sequence[str]
     population: Population | None = None
+    dataset: str | None = None
 
     def __post_init__(self) -> None:
         given = _array("xi", self.xi)
@@ -115,6 +117,9 @@ class Truth:
                 f"the population has {self.population.means.shape[1]} parameters, the space {len(self.space)}"
             )
 
+        if self.dataset is not None and (not isinstance(self.dataset, str) or not self.dataset):
+            raise BadInput(f"dataset must be a text, the content hash of the recordings; got {self.dataset!r}")
+
     def save(self, path: Path | str) -> None:
         """Write everything as one JSON file."""
         content: dict[str, Any] = {
@@ -123,6 +128,8 @@ class Truth:
             "episodes": list(self.episodes),
             "xi": self.xi.tolist(),
         }
+        if self.dataset is not None:
+            content["dataset"] = self.dataset
         if self.population is not None:
             names = ("weights", "means", "covariances")
             content["population"] = {name: getattr(self.population, name).tolist() for name in names}
@@ -141,7 +148,8 @@ class Truth:
         content = read_json(path, SCHEMA_VERSION)
         try:
             space = ParameterSpace.from_json(content["space"], "space")
-            return cls(space, content["xi"], content["episodes"], _population(content.get("population")))
+            population = _population(content.get("population"))
+            return cls(space, content["xi"], content["episodes"], population, content.get("dataset"))
         except KeyError as error:
             raise BadInput(f"{path}: the entry {error} is missing") from None
         except NfpdeError as error:

@@ -75,6 +75,16 @@ def test_recordings_reproduce(recorded, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_the_truth_names_its_recordings(recorded, name, tmp_path):
+    """Its hash is that of the recordings, as collected and as a fit prepares them from the file."""
+    dataset, truth = recorded[name]
+    save_dataset(dataset, tmp_path / "data.npz")
+    simulator = MujocoSimulator(robot(name).path, robot(name).space, check_influence=False)
+    prepared = simulator.prepare(load_dataset(tmp_path / "data.npz"))
+    assert truth.dataset == dataset.content_hash() == prepared.content_hash()
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_recordings_are_whole(recorded, name):
     """As many episodes as asked for, none longer, each named in the truth; facts of the model, solver Newton."""
     dataset, truth = recorded[name]

@@ -1,6 +1,7 @@
 """The command line: the whole pipeline in a folder, help, errors in one line, Ctrl-C."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -97,6 +98,25 @@ def test_evaluate(folder):
     out = (folder / "evaluate.txt").read_text()
     before, after = rows["initial"]["physical"], rows["estimate"]["physical"]
     assert f"{before:.3g} before the fit, {after:.3g} after it ({after / before:.0%})" in plain(out)
+
+
+def test_evaluate_refuses_the_truth_of_other_recordings(folder, tmp_path):
+    """Both files are named; without a hash in either of them there is nothing to compare."""
+    truth, others = folder / "data" / "truth.json", tmp_path / "others.json"
+    content, fit = json.loads(truth.read_text()), tmp_path / "fit"
+    others.write_text(json.dumps({**content, "dataset": "5ca1ab1e" * 8}))
+    shutil.copytree(folder / "fit", fit)
+    (fit / "evaluation.json").unlink()
+    status, out, err = run("evaluate", fit, "--truth", others, "--samples", 20)
+    assert (status, out) == (1, "")
+    assert f"{others} is not the truth of the recordings of {fit / 'fit.json'}" in err
+    assert f"are 5ca1ab1e5ca1... and {content['dataset'][:12]}..." in err
+    assert not (fit / "evaluation.json").exists()
+    del content["dataset"]
+    (tmp_path / "unnamed.json").write_text(json.dumps(content))
+    assert run("evaluate", fit, "--truth", tmp_path / "unnamed.json", "--samples", 20)[0] == 0
+    (fit / "fit.json").unlink()
+    assert run("evaluate", fit, "--truth", others, "--samples", 20)[0] == 0
 
 
 @pytest.mark.parametrize("name", ["corner.png", "progress.png", "evaluation.png"])

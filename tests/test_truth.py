@@ -20,13 +20,14 @@ XI = np.array([[3.0, 0.1], [4.0, 0.3 - 0.2 / 3]])
 
 
 def test_saved_and_loaded_is_the_same_to_the_bit(tmp_path):
-    """All numbers, names and the space come back, with and without a population."""
-    for population in (POPULATION, None):
-        truth = Truth(SPACE, XI, ["a", "b"], population)
+    """All numbers, names and the space come back, with and without a population and a data set."""
+    for population, dataset in ((POPULATION, "5ca1ab1e"), (None, None)):
+        truth = Truth(SPACE, XI, ["a", "b"], population, dataset)
         truth.save(tmp_path / "deep" / "truth.json")
         back = Truth.load(tmp_path / "deep" / "truth.json")
         assert back.space == SPACE
         assert back.episodes == ("a", "b")
+        assert back.dataset == dataset
         np.testing.assert_array_equal(back.xi, XI)
         if population is None:
             assert back.population is None
@@ -96,6 +97,7 @@ MALFORMED = [
     ("episodes", [["a"], ["b"]], "episodes must be a list of texts"),
     ("space", 5, "space: expected an object with a list 'parameters'"),
     ("space", {"parameters": [3]}, "space, parameter 0: expected a table, got 3"),
+    ("dataset", 5, "dataset must be a text, the content hash of the recordings; got 5"),
     ("population", 5, "population must be an object with the entries weights, means, covariances; found: 5"),
     ("population", {"weights": [1.0]}, "population must be an object with .* means, covariances; found: weights"),
     ("population", {"weights": "a", "means": [], "covariances": []}, "population.weights must hold numbers"),

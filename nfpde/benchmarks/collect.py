@@ -57,7 +57,8 @@ def collect(
         writer.write(model, vector)
         recordings.append(_record(env, f"{i}", steps, rng))
     env.close()
-    return _with_metadata(recordings, robot), Truth(robot.space, xi, [e.name for e in recordings], people)
+    dataset = _with_metadata(recordings, robot)
+    return dataset, Truth(robot.space, xi, dataset.names, people, dataset.content_hash())
 
 
 def _record(env: MujocoEnv, name: str, steps: int, rng: np.random.Generator) -> Episode:

@@ -10,7 +10,10 @@ import typer
 from rich.console import Console
 
 from nfpde.distribution import ParameterDistribution
+from nfpde.errors import BadInput
+from nfpde.estimation.result import SCHEMA_VERSION
 from nfpde.evaluate import evaluate
+from nfpde.storage import read_json
 from nfpde.truth import Truth
 
 
@@ -27,6 +30,7 @@ def command(
     known = Truth.load(truth)
     estimate = ParameterDistribution.load(folder / "distribution", known.space)
     initial = ParameterDistribution.load(folder / "initial", known.space)
+    _check_recordings(folder / "fit.json", truth, known.dataset)
     result = evaluate(estimate, known, initial=initial, samples=samples, seed=seed)
     (folder / "evaluation.json").write_text(json.dumps(result.to_json(), indent=1))
     picture = result.draw(folder / "evaluation.png")
@@ -38,3 +42,17 @@ def command(
     )
     typer.echo(f"{folder / 'evaluation.json'}: all figures")
     typer.echo(f"{picture}: the distribution, the robots' true parameters (points) and their population (outlines)")
+
+
+def _check_recordings(fit: Path, truth: Path, recorded: str | None) -> None:
+    """Refuse the truth of other recordings than those of the fit, where both files say which theirs are."""
+    if recorded is None or not fit.exists():
+        return
+    fitted = read_json(fit, SCHEMA_VERSION).get("dataset")
+    if fitted is not None and fitted != recorded:
+        raise BadInput(
+            f"{truth} is not the truth of the recordings of {fit}: their content hashes are {recorded[:12]}... and "
+            f"{str(fitted)[:12]}...; give the truth.json that was written with the fit's recordings. If the fit used "
+            "the same recordings in another form (resampled, a part of them, columns renamed), delete the entry "
+            f"'dataset' from {truth.name}"
+        )
