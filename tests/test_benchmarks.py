@@ -1,6 +1,7 @@
 """The paper's robots and populations, and what is recorded of them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,15 @@ def test_states_are_not_clipped(recorded):
     fastest = np.concatenate([e.qvel for e in recorded["walker2d"][0]])
     assert np.abs(fastest).max() > 10.0
     assert not (np.abs(fastest) == 10.0).any()
+
+
+def test_recording_writes_nothing_else(tmp_path, monkeypatch, capfd):
+    """HalfCheetah's file makes MuJoCo warn when it is compiled: neither the console nor the folder shows it."""
+    monkeypatch.chdir(tmp_path)
+    fresh = replace(robot("half_cheetah"))
+    collect(fresh, "gaussian", episodes=1, steps=2)
+    assert capfd.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_episodes_end_with_a_fall():

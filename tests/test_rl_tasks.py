@@ -11,12 +11,15 @@ from nfpde.rl import TASKS, evaluate_policy, make_environment
 
 
 @pytest.mark.parametrize(("name", "identifier"), TASKS.items())
-def test_short_names(name, identifier):
-    """Every short name makes its environment."""
+def test_short_names(name, identifier, tmp_path, monkeypatch, capfd):
+    """Every short name makes its environment, without a line of MuJoCo's about the model's file."""
+    monkeypatch.chdir(tmp_path)
     env = make_environment(name)
     assert env.spec is not None
     assert env.spec.id == identifier
     env.close()
+    assert capfd.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore:.*Box (action|observation) space:UserWarning")

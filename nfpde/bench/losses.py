@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from nfpde.benchmarks import ROBOTS, Robot
 from nfpde.dataset import Dataset, Episode
 from nfpde.sim import MujocoSimulator
+from nfpde.sim.quiet import quiet_mujoco
 
 Array = NDArray[np.float64]
 Way = Callable[[], int]
@@ -82,7 +83,8 @@ def run(quick: bool, out: Path) -> None:
 
 def _environment(robot: Robot) -> MujocoEnv:
     """Gymnasium's environment on the model of this package: the same solver for every way."""
-    env = gymnasium.make(robot.env_id).unwrapped
+    with quiet_mujoco():
+        env = gymnasium.make(robot.env_id).unwrapped
     if not isinstance(env, MujocoEnv):
         raise TypeError(f"{robot.env_id} is no MuJoCo environment")
     env.model.opt.solver, env.model.opt.disableflags = robot.model.opt.solver, robot.model.opt.disableflags

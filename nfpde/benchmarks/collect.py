@@ -15,6 +15,7 @@ from nfpde.benchmarks.targets import Target, draw_robots, population
 from nfpde.dataset import Dataset, Episode, Metadata
 from nfpde.errors import BadInput
 from nfpde.sim import ModelWriter, model_hash
+from nfpde.sim.quiet import quiet_mujoco
 from nfpde.truth import Truth
 
 
@@ -46,7 +47,8 @@ def collect(
     rng = np.random.default_rng(seed)
     people = population(robot.space, target)
     xi = draw_robots(robot.space, people, episodes, rng)
-    env = gymnasium.make(robot.env_id).unwrapped
+    with quiet_mujoco():
+        env = gymnasium.make(robot.env_id).unwrapped
     if not isinstance(env, MujocoEnv):
         raise BadInput(f"{robot.env_id} is no MuJoCo environment")
     model = env.model

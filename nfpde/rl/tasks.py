@@ -10,6 +10,7 @@ import gymnasium
 
 from nfpde.benchmarks import PENDULUM_ID
 from nfpde.errors import BadInput
+from nfpde.sim.quiet import quiet_mujoco
 
 TASKS = {
     "pendulum": PENDULUM_ID,
@@ -41,7 +42,8 @@ def make_environment(name: Environment, model: str | Path | None = None) -> gymn
         raise BadInput(f"{model}: no such file; give the path of an MJCF file")
     arguments: dict[str, Any] = {} if model is None else {"xml_file": str(Path(model).resolve())}
     try:
-        return gymnasium.make(TASKS.get(name, name), disable_env_checker=True, **arguments)
+        with quiet_mujoco():
+            return gymnasium.make(TASKS.get(name, name), disable_env_checker=True, **arguments)
     except (gymnasium.error.Error, ImportError) as error:
         raise BadInput(
             f"environment {name!r}: {error} Known short names: {', '.join(TASKS)}; any Gymnasium id of a MuJoCo "

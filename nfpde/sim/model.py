@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from nfpde.errors import BadModel
+from nfpde.sim.quiet import quiet_mujoco
 
 
 def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
@@ -17,6 +18,7 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
 
     The PGS solver is replaced by Newton: MuJoCo Warp has no PGS, and a model must give the same numbers wherever it
     runs. Solver islands are switched off: a few per cent faster, and the same numbers where all joints form one tree.
+    MuJoCo's warnings while it compiles are not shown; its errors are raised.
 
     Raises:
         BadModel: no such file, MuJoCo's own message where it cannot compile it, or states that recordings of (qpos,
@@ -27,9 +29,10 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
         if not path.is_file():
             raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
         try:
-            loaded = mujoco.MjModel.from_xml_path(str(path))
+            with quiet_mujoco():
+                loaded = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
-            raise BadModel(f"{path}: MuJoCo cannot compile it: {error}") from None
+            raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
     else:
         where, loaded = "model", copy.copy(model)
     if loaded.na:

@@ -1,4 +1,4 @@
-"""MuJoCo's log, silenced while simulations may diverge."""
+"""MuJoCo's log, silenced while models are compiled and while simulations may diverge."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,9 @@ import mujoco
 
 @contextmanager
 def quiet_mujoco() -> Iterator[None]:
-    """No lines on the console and in MUJOCO_LOG.TXT: a simulation that diverges is reported as NaN instead.
+    """No lines on the console and in MUJOCO_LOG.TXT, which MuJoCo writes into the current folder.
+
+    A simulation that diverges is reported as NaN instead, a model that cannot be compiled as an exception.
 
     The setting belongs to the whole process; it is put back at the end.
     """
