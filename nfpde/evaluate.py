@@ -142,17 +142,19 @@ def evaluate(
         truth: True parameters of the recorded episodes, and the population they come from where it is known.
         initial: What the fit started from, measured alike.
         samples: Number of samples of each distribution.
-        seed: Of all samples.
+        seed: Of all samples, from 0 to 2^63 - 1.
 
     Returns:
         Distances, coverage and log density.
 
     Raises:
         SpaceMismatch: A distribution and the truth are about different parameters.
-        BadInput: Fewer than 2 samples.
+        BadInput: Fewer than 2 samples, or a seed out of range.
     """
     if samples < 2:
         raise BadInput(f"samples must be at least 2, got {samples}")
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
     space = distribution.space
     space.check_same(truth.space)
     rng = np.random.default_rng(seed)

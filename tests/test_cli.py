@@ -217,7 +217,7 @@ BAD = {
     "low above high": ("fit hopper {data} --params {tmp}/bounds.toml --out {tmp}/x", "low (5) must be below high (1)"),
     "other robot": ("fit half_cheetah {data} --out {tmp}/x", "nq=6"),
     "no iterations": ("fit hopper {data} --out {tmp}/x --iterations 0", "iterations is 0; it must be an integer of at"),
-    "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer of at least 0"),
+    "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer from 0 to 92233"),
     "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "0"),
     "too long": ("fit hopper {data} --out {tmp}/x --horizon 500", "500"),
     "truth of others": ("evaluate {fit} --truth {tmp}/other.json", "parameters against 6: body_mass:torso | body"),

@@ -277,7 +277,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(BadInput, match="no method is called 'em'; there are: softmax, cai"):
         fit(simulator(), DATA, method="em")  # type: ignore[arg-type]
     for seed in (-1, 1.0, True, "0", 2**63):
-        with pytest.raises(BadInput, match=f"seed is {seed!r}; it must be an integer of at least 0"):
+        with pytest.raises(BadInput, match=f"seed is {seed!r}; it must be an integer from 0 to 9223372036854775807"):
             fit(simulator(), DATA, seed=seed)  # type: ignore[arg-type]
 
 

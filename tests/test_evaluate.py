@@ -126,6 +126,13 @@ def test_json_table_and_picture(tmp_path):
     assert result.draw(tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.0, True, "0"])
+def test_seeds_out_of_range_are_refused(seed):
+    """Before anything is drawn, with both ends of the range."""
+    with pytest.raises(BadInput, match=f"seed is {seed!r}; it must be an integer from 0 to 9223372036854775807"):
+        evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), seed=seed)
+
+
 def test_other_spaces_are_refused():
     """Estimate, initial distribution and truth must be about the same parameters."""
     other = ParameterSpace([SPACE[0], Parameter("damping", low=0.0, high=0.2)])

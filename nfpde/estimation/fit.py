@@ -55,7 +55,7 @@ def fit(
             episode, learns the noise, and needs far fewer simulations. With `softmax` the temperature beta is found
             from the data unless the settings give it: see `next_beta`.
         config: settings of the method: `NfpdeConfig` or `TrajectoryConfig`; None for the defaults.
-        seed: of everything random, at least 0; equal seeds give equal results.
+        seed: of everything random, from 0 to 2^63 - 1; equal seeds give equal results.
         out: folder for checkpoints and results. A run that was interrupted or killed goes on from there, to the
             same numbers as one that never stopped; a finished one is read back.
         quiet: no progress on the error stream.
@@ -68,7 +68,7 @@ def fit(
     if method not in get_args(Method):
         raise BadInput(f"no method is called {method!r}; there are: {', '.join(get_args(Method))}")
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
-        raise BadInput(f"seed is {seed!r}; it must be an integer of at least 0")
+        raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
     settings: NfpdeConfig | TrajectoryConfig = CONFIGS[method]() if config is None else config
     if not isinstance(settings, CONFIGS[method]):
         raise BadInput(f"the method {method} takes a {CONFIGS[method].__name__}, got a {type(config).__name__}")
