@@ -1,5 +1,6 @@
 """The run around the estimator: recovery of a truth, interruption, checkpoints, results, refusals."""
 
+import functools
 import json
 import os
 import signal
@@ -69,6 +70,7 @@ class Counted:
 
     def __init__(self, at=None, then=None):
         self.calls, self.at, self.then = 0, at, then
+        functools.update_wrapper(self, oscillator)  # a run goes on with the function it began with
 
     def __call__(self, state, ctrl, xi):
         self.calls += 1
@@ -163,7 +165,7 @@ def test_an_interrupt_without_a_folder(tmp_path):
 
 KILLED = """
 import importlib.util, os, signal, sys
-spec = importlib.util.spec_from_file_location("same", sys.argv[1])
+spec = importlib.util.spec_from_file_location(sys.argv[3], sys.argv[1])
 same = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(same)
 sys.modules["nfpde.estimation.run"].CHECKPOINT_SECONDS = 0.0
@@ -174,7 +176,7 @@ same.fit(same.simulator(step), same.DATA, config=same.TINY, seed=2, out=sys.argv
 
 def test_a_killed_fit_goes_on(tmp_path, uninterrupted):
     """A process killed without warning in its fourth iteration: the same call ends in the same numbers."""
-    done = subprocess.run([sys.executable, "-c", KILLED, __file__, tmp_path], env={**os.environ}, check=False)
+    done = subprocess.run([sys.executable, "-c", KILLED, __file__, tmp_path, __name__], env={**os.environ}, check=False)
     assert done.returncode == -signal.SIGKILL
     rest = Counted()
     result = fit(simulator(rest), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
@@ -207,6 +209,7 @@ def test_another_run_is_refused(tmp_path):
         ),
         ({}, simulator(), record(seed=1), [f'dataset: saved "{DATA.content_hash()}"']),
         ({}, simulator(space=narrow), DATA, ["space", "8.0"]),
+        ({}, simulator(step=lambda x, u, xi: x), DATA, ["simulator.step: saved", "oscillator", "<lambda>"]),
     ):
         arguments: dict[str, Any] = {**same, **changed}
         with pytest.raises(CheckpointMismatch) as caught:

@@ -1,10 +1,13 @@
 """Simulators that are not MuJoCo: a function, and a user's own class."""
 
+import functools
+import json
+
 import numpy as np
 import pytest
 
-from nfpde.dataset import Windows
-from nfpde.errors import BadInput, BadParameter
+from nfpde.dataset import Dataset, Episode, Windows
+from nfpde.errors import BadDataset, BadInput, BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import LOSS_LIMIT, CallableSimulator, Simulator, StateSpace
 
@@ -86,6 +89,49 @@ def test_wrong_shapes_are_refused():
         bad.predict([[2.0, 0.0]], make(3, 2, nq=2))
     with pytest.raises(BadParameter, match="outside"):
         bad.predict([[2.0, 3.0]], make(3, 2))
+
+
+def test_the_number_of_commands_is_checked_where_they_have_names():
+    """Without names the function gets what there is; its own errors are passed on."""
+    two = Dataset([Episode("a", [0, DT], np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 2)))])
+    with pytest.raises(BadDataset, match=r"the data has nu=2, the simulator 1 command\(s\): force"):
+        CallableSimulator(oscillator, SPACE, ["x"], ["v"], ["force"]).prepare(two)
+    with pytest.raises(BadDataset, match=r"the data has nu=2, the simulator 0 command\(s\): \(none\)"):
+        CallableSimulator(oscillator, SPACE, ["x"], ["v"], []).prepare(two)
+    with pytest.raises(BadDataset, match="the data has nq=1, nv=1, the simulator nq=2"):
+        CallableSimulator(oscillator, SPACE, ["x", "y"], ["v"], ["force", "brake"]).prepare(two)
+    for commands in (None, ["force", "brake"]):
+        assert CallableSimulator(oscillator, SPACE, ["x"], ["v"], commands).prepare(two) is two
+    with pytest.raises(IndexError, match="out of bounds"):
+        CallableSimulator(oscillator, SPACE, ["x"], ["v"]).predict([[2.0, 0.0]], make(3, 2, nu=0))
+
+
+def test_identities_differ_where_simulators_do():
+    """Other names of channels or commands, another function; a partial and an object go by what they call."""
+
+    def other(state, ctrl, xi):
+        return state
+
+    class Learned:
+        def __call__(self, state, ctrl, xi):
+            return state
+
+    base = (oscillator, SPACE, ["x"], ["v"], None)
+    changed = [
+        base,
+        (other, *base[1:]),
+        (Learned(), *base[1:]),
+        (Learned().__call__, *base[1:]),
+        (*base[:2], ["y"], *base[3:]),
+        (*base[:2], ["x", "v"], [], None),
+        (*base[:4], ["force"]),
+    ]
+    texts = [json.dumps(CallableSimulator(*arguments).identity()) for arguments in changed]
+    assert len(set(texts)) == len(texts)
+    again = CallableSimulator(functools.partial(oscillator), *base[1:]).identity()
+    assert again == CallableSimulator(*base).identity()
+    assert again["step"] == f"{__name__}.oscillator"
+    assert CallableSimulator(Learned(), *base[1:]).identity()["step"].endswith(".Learned")
 
 
 class Coin(Simulator):

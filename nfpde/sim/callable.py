@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.dataset import Windows
-from nfpde.errors import BadInput
+from nfpde.dataset import Dataset, Windows
+from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.simulator import Array, Simulator
 from nfpde.sim.states import StateSpace
@@ -21,10 +23,12 @@ class CallableSimulator(Simulator):
 
     Args:
         step: advances R rows by one control step: state (R, nq+nv), ctrl (R, nu), xi (R, D) to (R, nq+nv). NaN in a
-            row says that it diverged.
+            row says that it diverged. What it raises is passed on as it is.
         space: the parameters.
         positions: names of the qpos columns.
         velocities: names of the qvel columns; may be empty.
+        commands: names of the ctrl columns. Without them the number of commands is not checked: recordings of another
+            robot, with as many positions and velocities, reach `step` as they are.
 
     Example:
         >>> from nfpde.parameters import Parameter
@@ -33,11 +37,46 @@ class CallableSimulator(Simulator):
     """
 
     def __init__(
-        self, step: Step, space: ParameterSpace, positions: list[str], velocities: list[str] | None = None
+        self,
+        step: Step,
+        space: ParameterSpace,
+        positions: list[str],
+        velocities: list[str] | None = None,
+        commands: list[str] | None = None,
     ) -> None:
         self.step = step
         self.space = space
         self.states = StateSpace.euclidean(positions, velocities or [])
+        self.commands = None if commands is None else list(commands)
+
+    def prepare(self, dataset: Dataset) -> Dataset:
+        """Check the numbers of positions and velocities, and of commands where they have names.
+
+        Raises:
+            BadDataset: they do not fit; the text says what the simulator has.
+        """
+        if self.commands is not None and dataset.nu != len(self.commands):
+            raise BadDataset(
+                f"the data has nu={dataset.nu}, the simulator {len(self.commands)} command(s): "
+                f"{', '.join(self.commands) or '(none)'}"
+            )
+        return super().prepare(dataset)
+
+    def identity(self) -> dict[str, Any]:
+        """The names of channels and commands, and the function's module and name.
+
+        Functions of one name in one module, as lambdas are, and a function that was edited, cannot be told apart.
+        """
+        function: Any = self.step
+        while isinstance(function, functools.partial):
+            function = function.func
+        named = function if hasattr(function, "__qualname__") else type(function)
+        return {
+            **super().identity(),
+            "channels": list(self.states.channels),
+            "commands": self.commands,
+            "step": f"{named.__module__}.{named.__qualname__}",
+        }
 
     def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
         """Call the function once per control step with all rows; see `Simulator.rollout`.
