@@ -50,8 +50,8 @@ FULL = (
     *(Case(1000, 1000, d, kind, "uniform") for d, kind in ((2, "gauss"), (30, "gauss"), (6, "mix"), (6, "lattice"))),
     *(Case(1000, 1000, d, kind, "random") for d, kind in ((2, "gauss"), (30, "gauss"), (6, "mix"), (6, "duplicates"))),
     Case(2000, 10, 6, "gauss", "random"),
-    *(Case(5000, 5000, d, "gauss", "uniform") for d in (6, 30)),
-    *(Case(5000, 5000, d, "gauss", "random") for d in (6, 30)),
+    *(Case(5000, 5000, d, "gauss", "uniform") for d in (2, 6, 30)),
+    *(Case(5000, 5000, d, "gauss", "random") for d in (2, 6, 30)),
 )
 QUICK = tuple(case for case in FULL if case.n <= 300 or case.m == 10)
 
