@@ -58,6 +58,22 @@ def test_few_points_against_many(kind, n, m, weights):
     assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
 
 
+@pytest.mark.parametrize("spread", [0.0, 1e-9, 1e-6, 1e-2])
+@pytest.mark.parametrize("d", [2, 6, 13])
+def test_clusters_around_few_points(spread, d):
+    """Samples packed around the points they are compared with: steps that cost the same do not go round in circles."""
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        centers = rng.uniform(size=(10, d))
+        own = rng.permutation(np.repeat(np.arange(10), 200))
+        x = centers[own] + spread * rng.normal(size=(2000, d))
+        a, b = masses("uniform", 2000, 10)
+        cost = distances(x, centers)
+        result = emd(x, centers)
+        check_certificate(result, cost, a, b)
+        assert result.cost <= cost[np.arange(2000), own].mean() + 1e-12
+
+
 def test_skewed_weights_beyond_the_table():
     """Weights over many decades, some of them zero."""
     x, y = clouds("mix", 1200, 1100, 4)

@@ -2,6 +2,9 @@
 //!
 //! Every row first goes to its best column. Columns with too much then send mass to columns with too little; a step
 //! from column `j` to `k` moves the row that loses least by it. There are only as many nodes as columns.
+//!
+//! Of the paths of one length, the one of fewest steps is taken (Edmonds and Karp): otherwise two ways that cost the
+//! same could hand the last quantum of a split row back and forth until all the mass has gone that way.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -10,6 +13,10 @@ use crate::error::OtError;
 use crate::forest::remove_cycles;
 use crate::network_simplex::Table;
 use crate::watch::Watch;
+
+/// A reduced cost below this share of the numbers that it is made of is rounding: the step is free. Potentials stay
+/// feasible to this share, because a free step leaves them as they are.
+const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 /// Rows by what they lose when they change from one column to another; the loss is stored as ordered bits.
 type Movers = BinaryHeap<Reverse<(u64, u32)>>;
@@ -80,14 +87,28 @@ fn ordered(value: f64) -> u64 {
 /// Shortest ways from the columns with too much.
 struct Paths {
     distance: Vec<f64>,
+    steps: Vec<usize>,
     before: Vec<usize>,
     settled: Vec<bool>,
     mover: Vec<u32>,
 }
 
 impl Paths {
+    /// The open column that is reached most cheaply, in fewest steps.
+    fn nearest(&self) -> Option<usize> {
+        let open = (0..self.distance.len()).filter(|&j| !self.settled[j] && self.distance[j] < f64::INFINITY);
+        let key = |j: usize| (self.distance[j], self.steps[j]);
+        open.reduce(|a, b| if key(b) < key(a) { b } else { a })
+    }
+
     fn new(m: usize) -> Self {
-        Self { distance: vec![0.0; m], before: vec![0; m], settled: vec![false; m], mover: vec![0; m] }
+        Self {
+            distance: vec![0.0; m],
+            steps: vec![0; m],
+            before: vec![0; m],
+            settled: vec![false; m],
+            mover: vec![0; m],
+        }
     }
 }
 
@@ -99,12 +120,12 @@ impl Search<'_> {
         let m = self.table.cols;
         for j in 0..m {
             paths.distance[j] = if self.excess[j] > 0 { 0.0 } else { f64::INFINITY };
+            paths.steps[j] = 0;
             paths.before[j] = NOWHERE;
             paths.settled[j] = false;
         }
         let target = loop {
-            let open = (0..m).filter(|&j| !paths.settled[j] && paths.distance[j] < f64::INFINITY);
-            let Some(j) = open.reduce(|a, b| if paths.distance[b] < paths.distance[a] { b } else { a }) else {
+            let Some(j) = paths.nearest() else {
                 return false;
             };
             if self.excess[j] < 0 {
@@ -113,11 +134,12 @@ impl Search<'_> {
             paths.settled[j] = true;
             for k in 0..m {
                 if !paths.settled[k]
-                    && let Some((loss, row)) = self.cheapest_mover(j, k)
+                    && let Some((length, row)) = self.step_length(j, k)
                 {
-                    let length = paths.distance[j] + (loss + self.v[j] - self.v[k]).max(0.0);
-                    if length < paths.distance[k] {
-                        (paths.distance[k], paths.before[k], paths.mover[k]) = (length, j, row);
+                    let (length, steps) = (paths.distance[j] + length, paths.steps[j] + 1);
+                    if (length, steps) < (paths.distance[k], paths.steps[k]) {
+                        (paths.distance[k], paths.steps[k]) = (length, steps);
+                        (paths.before[k], paths.mover[k]) = (j, row);
                     }
                 }
             }
@@ -130,14 +152,18 @@ impl Search<'_> {
         true
     }
 
-    /// The row that loses least by a change from column `j` to `k`.
-    fn cheapest_mover(&mut self, j: usize, k: usize) -> Option<(f64, u32)> {
+    /// Reduced cost of the step from column `j` to `k`, by the row that loses least by it.
+    fn step_length(&mut self, j: usize, k: usize) -> Option<(f64, u32)> {
         let m = self.table.cols;
         let movers = &mut self.movers[j * m + k];
         while let Some(&Reverse((_, row))) = movers.peek() {
             let place = row as usize * m;
             if self.flow[place + j] > 0 {
-                return Some((self.table.costs[place + k] - self.table.costs[place + j], row));
+                let (from, to) = (self.table.costs[place + j], self.table.costs[place + k]);
+                let (v_from, v_to) = (self.v[j], self.v[k]);
+                let reduced = (to - from) + (v_from - v_to);
+                let rounding = ROUNDING * (from.abs() + to.abs() + v_from.abs() + v_to.abs());
+                return Some((if reduced > rounding { reduced } else { 0.0 }, row));
             }
             movers.pop();
         }
