@@ -210,6 +210,15 @@ def test_weights_over_eighteen_decades():
     check_certificate(emd(x, z, a, b), distances(x, z), a, b)
 
 
+def test_weights_and_costs_of_very_different_sizes():
+    """Masses of 1e-20 and costs of 1e12 in one problem leave the certificate whole."""
+    rng = np.random.default_rng(4)
+    x, y = rng.normal(size=(12, 3)) * 10.0 ** rng.integers(-6, 7, (12, 1)), rng.normal(size=(15, 3))
+    a, b = rng.exponential(size=12) ** 9, rng.exponential(size=15) ** 9
+    a, b = a / a.sum(), b / b.sum()
+    check_certificate(emd(x, y, a, b, "sqeuclidean"), distances(x, y, "sqeuclidean"), a, b)
+
+
 @pytest.mark.parametrize("scale", [1e-20, 1e-300, 1e300])
 def test_matrix_scale(scale):
     """The scale of a cost matrix scales the answer."""

@@ -55,6 +55,7 @@ BAD_WEIGHTS = [
     (np.full(3, 1 / 3), None, "a has 3 weights for 4 points"),
     (None, np.full((5, 1), 0.2), r"b has shape \(5, 1\): weights have 1 dimension"),
     (np.full(4, 1e308), np.full(5, 0.8e308), "sum to infinity"),
+    (np.full(4, 1e-300), np.full(5, 0.8e-300), "sum to 4e-300: scale them up"),
 ]
 
 

@@ -31,7 +31,7 @@ pub fn tighten(cost: &dyn Cost, beta: Vec<f64>) -> Potentials {
 const GAP_OF_COST: f64 = 1e-11;
 const GAP_OF_POTENTIALS: f64 = 1e-13;
 
-/// The primal value (scaled) minus the value of the potentials, for real weights.
+/// The primal value minus the value of the potentials, for shares of the total mass and scaled costs.
 ///
 /// # Errors
 /// `NotOptimal` when the gap is more than rounding.
@@ -42,20 +42,20 @@ pub fn certify(
     b: impl Iterator<Item = f64>,
     masses: &Masses,
 ) -> Result<f64, OtError> {
-    let (mut dual, mut size) = (Compensated::default(), 0.0);
-    let cols = b.map(|weight| weight * masses.col_factor);
-    let terms = a.zip(&potentials.alpha).chain(cols.zip(&potentials.beta)).map(|(weight, p)| weight * p);
-    for term in terms {
-        dual.add(term);
-        size += term.abs();
+    let (mut dual, mut size, mut rounding) = (Compensated::default(), 0.0, 0.0);
+    for (share, p) in a.zip(&potentials.alpha).chain(b.zip(&potentials.beta)) {
+        dual.add(share * p);
+        size += (share * p).abs();
+        rounding += p.abs() * masses.unit;
     }
     let gap = primal - dual.value();
-    let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size;
+    // Shares are whole quanta, so the plan itself is exact to a quantum at each point only.
+    let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size + rounding;
     if gap.abs() <= allowed {
         return Ok(gap);
     }
     Err(OtError::NotOptimal(format!(
-        "the plan costs {primal} but the potentials prove only {} (in units of the largest cost): a gap of {gap:e} is \
+        "the plan costs {primal:e} but the potentials prove only {:e} (total mass 1, costs near 1): a gap of {gap:e} is \
          more than rounding ({allowed:e}); rescale the points or merge near-duplicates",
         dual.value()
     )))

@@ -5,6 +5,9 @@ use crate::error::{OtError, bad};
 /// Largest relative difference allowed between the totals of the two sides.
 pub const MAX_SUM_DIFFERENCE: f64 = 1e-9;
 
+/// Totals below this are refused: their atoms lie where numbers lose digits.
+const SMALLEST_TOTAL: f64 = 1e-250;
+
 /// Integer masses of both sides with one common total.
 #[derive(Clone, Debug)]
 pub struct Masses {
@@ -12,12 +15,12 @@ pub struct Masses {
     pub rows: Vec<i64>,
     /// Mass of each column, in quanta; same total as the rows.
     pub cols: Vec<i64>,
-    /// Real weight of one quantum.
-    pub quantum: f64,
-    /// Factor that brings the weights of the columns to the total of the rows.
-    pub col_factor: f64,
-    /// Total real mass.
-    pub total: f64,
+    /// Share of the total in one quantum.
+    pub unit: f64,
+    /// Total weight of the rows, and of the plan.
+    pub total_rows: f64,
+    /// Total weight of the columns.
+    pub total_cols: f64,
     /// Every atom of either side weighs the same as its neighbours.
     pub uniform: bool,
 }
@@ -39,6 +42,9 @@ pub fn integer_masses(a: Option<&[f64]>, b: Option<&[f64]>, n: usize, m: usize) 
     if !total_a.is_finite() || !total_b.is_finite() {
         return Err(bad("the weights sum to infinity: scale them down".to_owned()));
     }
+    if total_a.min(total_b) < SMALLEST_TOTAL {
+        return Err(bad(format!("the weights sum to {:e}: scale them up", total_a.min(total_b))));
+    }
     if (total_a - total_b).abs() > MAX_SUM_DIFFERENCE * total_a.max(total_b) {
         return Err(bad(format!(
             "the weights must have one total (to {MAX_SUM_DIFFERENCE:e} relative): a sums to {total_a} and b to \
@@ -59,7 +65,7 @@ pub fn integer_masses(a: Option<&[f64]>, b: Option<&[f64]>, n: usize, m: usize) 
         let cols = apportion(&cols, quanta);
         (as_signed(&rows), as_signed(&cols), quanta)
     };
-    Ok(Masses { rows, cols, quantum: total_a / quanta as f64, col_factor: total_a / total_b, total: total_a, uniform })
+    Ok(Masses { rows, cols, unit: 1.0 / quanta as f64, total_rows: total_a, total_cols: total_b, uniform })
 }
 
 fn check_weights(name: &str, weights: &[f64], len: usize) -> Result<(), OtError> {
@@ -189,7 +195,7 @@ mod tests {
         let masses = integer_masses(Some(&a), Some(&b), 7, 11).unwrap();
         assert_eq!(masses.rows.iter().sum::<i64>(), masses.cols.iter().sum::<i64>());
         for (weight, mass) in a.iter().zip(&masses.rows).chain(b.iter().zip(&masses.cols)) {
-            assert!((weight - *mass as f64 * masses.quantum).abs() < 1e-16);
+            assert!((weight - *mass as f64 * masses.unit).abs() < 1e-16);
         }
     }
 

@@ -24,9 +24,9 @@ pub struct Solution {
     pub gap: f64,
 }
 
-/// Real weights of one side; `None` stands for equal weights.
-fn weights_or_equal(weights: Option<&[f64]>, len: usize, total: f64) -> impl Iterator<Item = f64> + '_ {
-    (0..len).map(move |i| weights.map_or(total / len as f64, |w| w[i]))
+/// Shares of one side in its total; `None` stands for equal weights.
+fn shares(weights: Option<&[f64]>, len: usize, total: f64) -> impl Iterator<Item = f64> + '_ {
+    (0..len).map(move |i| weights.map_or(1.0 / len as f64, |w| w[i] / total))
 }
 
 /// Certifies a plan and brings everything back to the caller's units.
@@ -45,7 +45,7 @@ pub fn conclude(
     let (mut scaled, mut total) = (Compensated::default(), Compensated::default());
     let mut moved = false;
     for &(i, j, flow) in &arcs {
-        let mass = flow as f64 * masses.quantum;
+        let mass = flow as f64 * masses.unit;
         let price = cost.at(i, j);
         scaled.add(mass * price);
         total.add(mass * cost.unscaled(i, j));
@@ -53,9 +53,8 @@ pub fn conclude(
     }
     let (n, m) = (cost.rows(), cost.cols());
     let primal = scaled.value();
-    let side = |weights, len| weights_or_equal(weights, len, masses.total);
-    let gap = certify(primal, &potentials, side(a, n), side(b, m), masses)?;
-    let total = total.value();
+    let gap = certify(primal, &potentials, shares(a, n, masses.total_rows), shares(b, m, masses.total_cols), masses)?;
+    let total = total.value() * masses.total_rows;
     let smallest = primal != 0.0 && total.abs() < f64::MIN_POSITIVE;
     if cost.exponent() != 0 {
         let rescale = |v: &mut f64| *v = times_power_of_two(*v, cost.exponent());
@@ -72,9 +71,9 @@ pub fn conclude(
         cost: total,
         rows: arcs.iter().map(|arc| arc.0 as i64).collect(),
         cols: arcs.iter().map(|arc| arc.1 as i64).collect(),
-        mass: arcs.iter().map(|arc| arc.2 as f64 * masses.quantum).collect(),
+        mass: arcs.iter().map(|arc| arc.2 as f64 * masses.unit * masses.total_rows).collect(),
         alpha: potentials.alpha,
         beta: potentials.beta,
-        gap: times_power_of_two(gap, cost.exponent()),
+        gap: times_power_of_two(gap, cost.exponent()) * masses.total_rows,
     })
 }
