@@ -189,6 +189,14 @@ def test_offset_of_the_data(offset):
     assert wasserstein(x, y) == pytest.approx(wasserstein(x - offset, y - offset), rel=SAME)
 
 
+def test_a_huge_coordinate_that_all_points_share():
+    """A coordinate that is the same everywhere plays no part, in the potentials neither."""
+    x, y = clouds("gauss", 20, 20, 3)
+    x[:, 1], y[:, 1] = 1e308, 1e308
+    result = emd(x, y)
+    check_certificate(result, distances(x[:, ::2], y[:, ::2]), *masses("uniform", 20, 20))
+
+
 def test_outliers_do_not_drown_the_rest():
     """A far pair of equal points leaves the distance of the others accurate."""
     x, y = clouds("gauss", 50, 50, 2)

@@ -3,6 +3,7 @@
 use crate::cost::Cost;
 use crate::error::OtError;
 use crate::masses::{Compensated, Masses};
+use crate::network_simplex::typical_size;
 use crate::simd::{LeastSum, run};
 
 /// Potentials that satisfy `alpha[i] + beta[j] <= cost[i, j]` for every pair, in scaled units.
@@ -30,6 +31,8 @@ pub fn tighten(cost: &dyn Cost, beta: Vec<f64>) -> Potentials {
 /// Largest gap that is rounding and no error: relative to the cost, and to the numbers the dual value is made of.
 const GAP_OF_COST: f64 = 1e-11;
 const GAP_OF_POTENTIALS: f64 = 1e-13;
+/// Reduced costs that the search may leave, relative to typical potentials.
+const GAP_OF_PRICING: f64 = 1e-14;
 
 /// The primal value minus the value of the potentials, for shares of the total mass and scaled costs.
 ///
@@ -50,7 +53,8 @@ pub fn certify(
     }
     let gap = primal - dual.value();
     // Shares are whole quanta, so the plan itself is exact to a quantum at each point only.
-    let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size + rounding;
+    let pricing = GAP_OF_PRICING * typical_size(potentials.alpha.iter().chain(&potentials.beta));
+    let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size + rounding + pricing;
     if gap.abs() <= allowed {
         return Ok(gap);
     }

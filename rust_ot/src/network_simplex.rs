@@ -20,18 +20,16 @@ impl Tolerance {
         Self { floor: Self::SHARE * size, growth: 1.0, pivots_left: 200 * nodes as u64 + 10_000 }
     }
 
-    /// A tolerance for potentials of which nine tenths are no larger than its size.
-    pub fn of_potentials<'a>(potentials: impl Iterator<Item = &'a f64>) -> Self {
-        let mut values: Vec<f64> = potentials.map(|p| p.abs()).collect();
-        let (place, nodes) = (values.len() * 9 / 10, values.len());
-        Self::new(*values.select_nth_unstable_by(place, f64::total_cmp).1, nodes)
+    /// A tolerance for given potentials.
+    pub fn of_potentials<'a>(potentials: impl Iterator<Item = &'a f64> + Clone) -> Self {
+        Self::new(typical_size(potentials.clone()), potentials.count())
     }
 
     const SHARE: f64 = 7.2e-15;
 
     /// Takes over the size of the potentials after they were computed again.
     pub fn adapt(&mut self, tree: &Tree) {
-        self.floor = Self::SHARE * self.growth * tree.typical_potential();
+        self.floor = Self::SHARE * self.growth * typical_size(tree.pi[..tree.pi.len() - 1].iter());
     }
 
     /// Counts a pivot. A search that goes on for very long is turning in rounding errors: it gets more tolerance, and
@@ -57,6 +55,13 @@ impl Tolerance {
     pub fn is_negative(&self, reduced: f64, cost: f64, u: f64, v: f64) -> bool {
         reduced < -(self.floor + Self::SHARE * (cost.abs() + u.abs() + v.abs()))
     }
+}
+
+/// A size that nine tenths of the numbers do not exceed; zero for none.
+pub fn typical_size<'a>(numbers: impl Iterator<Item = &'a f64>) -> f64 {
+    let mut sizes: Vec<f64> = numbers.map(|x| x.abs()).collect();
+    let place = sizes.len() * 9 / 10;
+    if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(place, f64::total_cmp).1 }
 }
 
 /// A table of costs, row by row.

@@ -28,10 +28,8 @@ impl Points {
     /// # Errors
     /// `BadInput` for an empty set or a coordinate that is not finite.
     pub fn new(x: &[f64], y: &[f64], dim: usize, metric: Metric) -> Result<Self, OtError> {
-        let largest = largest_coordinate("x", x, dim)?.max(largest_coordinate("y", y, dim)?);
-        let shift = if largest > 0.0 { exponent_of(largest) + 1 } else { 0 };
-        let scale = |values: &[f64]| -> Vec<f64> { values.iter().map(|&v| times_power_of_two(v, -shift)).collect() };
-        let (x, y) = (scale(x), scale(y));
+        check_points("x", x, dim)?;
+        check_points("y", y, dim)?;
         let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); dim];
         for point in x.chunks_exact(dim).chain(y.chunks_exact(dim)) {
             for (&value, (low, high)) in point.iter().zip(&mut reach) {
@@ -39,8 +37,19 @@ impl Points {
                 *high = high.max(value);
             }
         }
+        // Halves, because the width itself may be beyond the range of numbers.
+        let half_widths: Vec<f64> = reach.iter().map(|(low, high)| high / 2.0 - low / 2.0).collect();
+        let widest = half_widths.iter().fold(0.0, |widest: f64, &w| widest.max(w));
+        let shift = if widest > 0.0 { exponent_of(widest) + 2 } else { 0 };
+        // Coordinates that all points share play no part, however large they are.
+        let scale = |values: &[f64]| -> Vec<f64> {
+            let widths = half_widths.iter().cycle();
+            let scaled = |(&v, &w): (&f64, &f64)| if w > 0.0 { times_power_of_two(v, -shift) } else { 0.0 };
+            values.iter().zip(widths).map(scaled).collect()
+        };
+        let (x, y) = (scale(x), scale(y));
         let zero = vec![0.0; dim];
-        let sides: Vec<f64> = reach.iter().map(|(low, high)| high - low).collect();
+        let sides: Vec<f64> = half_widths.iter().map(|&w| 2.0 * times_power_of_two(w, -shift)).collect();
         let bound = distance(&sides, &zero, metric);
         Ok(Self::assemble(x, y, dim, metric, shift, bound))
     }
@@ -71,8 +80,8 @@ impl Points {
     }
 }
 
-/// Checks a set of points and gives its largest absolute coordinate.
-pub(crate) fn largest_coordinate(name: &str, points: &[f64], dim: usize) -> Result<f64, OtError> {
+/// Refuses an empty set and coordinates that are not finite.
+fn check_points(name: &str, points: &[f64], dim: usize) -> Result<(), OtError> {
     if dim == 0 || points.is_empty() {
         return Err(bad(format!("{name} is empty: give at least one point with one coordinate")));
     }
@@ -80,7 +89,7 @@ pub(crate) fn largest_coordinate(name: &str, points: &[f64], dim: usize) -> Resu
         let (row, column) = (place / dim, place % dim);
         return Err(bad(format!("{name}[{row}, {column}] is {}: coordinates must be finite", points[place])));
     }
-    Ok(points.iter().fold(0.0, |largest: f64, v| largest.max(v.abs())))
+    Ok(())
 }
 
 /// Sums in the order of the coordinates, as [`fill`] does, so that both give the same bits.

@@ -355,14 +355,6 @@ impl Tree {
         }
     }
 
-    /// A size that nine tenths of the potentials do not exceed.
-    #[must_use]
-    pub fn typical_potential(&self) -> f64 {
-        let mut values: Vec<f64> = self.pi[..self.n + self.m].iter().map(|p| p.abs()).collect();
-        let place = values.len() * 9 / 10;
-        *values.select_nth_unstable_by(place, f64::total_cmp).1
-    }
-
     /// Mass still on artificial arcs.
     #[must_use]
     pub fn artificial_mass(&self) -> i64 {
