@@ -20,7 +20,7 @@ ROWS = [
     {"sim", "flow", "ot"},
     {"distribution"},
     {"corner", "benchmarks", "losses"},
-    {"estimation", "evaluate", "rl"},
+    {"estimation", "evaluate", "rl", "gap"},
     {"bench"},
     {"cli"},
 ]

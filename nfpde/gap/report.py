@@ -1,0 +1,222 @@
+"""What a diagnosis says: where the gap lies, which effects cause it, how far it shrinks."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.storage import write_whole
+
+Array = NDArray[np.float64]
+Verdict = Literal["effects", "no_gap", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted value with its 95 % interval, in `unit`."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    at_bound: bool = False
+    """The value leans on the end of its admissible range: a finding in itself."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that explains these recordings as well."""
+
+    effect: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect on a target, fitted together with everything else.
+
+    Args:
+        effect: Name in the effect library.
+        target: Element it acts on; "" for one on the whole robot or world.
+        sentence: What the effect is, for a roboticist.
+        parameters: Its fitted values by name.
+        shrink: Share of the held-out gap that it removed, with its 95 % interval in `shrink_low`, `shrink_high`.
+        gain: Held-out log likelihood gained per window [nats], with its standard error in `gain_error`.
+        indistinguishable: Effects that these recordings cannot tell from it.
+        separating_experiment: What to record to tell them apart; "" where there are none.
+    """
+
+    effect: str
+    target: str
+    sentence: str
+    parameters: Mapping[str, Fitted]
+    shrink: float
+    shrink_low: float
+    shrink_high: float
+    gain: float
+    gain_error: float
+    indistinguishable: Sequence[Rival] = ()
+    separating_experiment: str = ""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A joint's share of the gap, noise subtracted, and the regime in which most of it lies."""
+
+    joint: str
+    share: float
+    regime: str
+
+
+@dataclass(frozen=True)
+class Level:
+    """Mean squared whitened residual on held-out episodes, relative to the nominal model's at the same horizon."""
+
+    before: float
+    after_parameters: float
+    after_effects: float
+    noise_floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class GapMap:
+    """Shares of the gap by joint (rows) and regime (columns), noise subtracted; they sum to 1.
+
+    windows: number of held-out windows in each regime (regimes,)
+    """
+
+    joints: Sequence[str]
+    regimes: Sequence[str]
+    share: Array
+    windows: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One held-out window: what was measured and what was predicted, of the channel that was worst.
+
+    time: seconds into the episode (H + 1,); the others likewise, in `unit`
+    """
+
+    episode: str
+    channel: str
+    unit: str
+    time: Array
+    measured: Array
+    before: Array
+    """With the fitted parameters, without effects."""
+    after: Array
+    """With parameters and effects."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualForce:
+    """A free-form force on one joint that the accepted effects leave over.
+
+    share: of the gap left over that a smooth force of position, speed and command removes, on held-out episodes
+    position, speed, command: of every held-out window (windows,); force: its estimate there, error: its standard error
+    """
+
+    joint: str
+    unit: str
+    share: float
+    position: Array
+    speed: Array
+    command: Array
+    force: Array
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GapReport:
+    """The answer of `diagnose_gap`.
+
+    Args:
+        verdict: "effects": named effects explain the gap; "no_gap": the model, with its parameters fitted, predicts
+            the recordings as well as their noise allows; "unexplained": a gap remains that no known effect explains.
+        effects: Accepted causes, largest first.
+        ranking: Every candidate that was refitted in the first round, best first.
+        where: Joints by their share of the gap.
+        gap: The ladder over all horizons; `horizons` the same for each, in control steps.
+        base: Fitted base parameters, by name, with all accepted effects in place.
+        ladder: Labels and values from the nominal model to the noise floor.
+        summary: Plain words.
+        held_out_episodes: Names of the episodes that no fit saw.
+        sensor_noise: Standard deviation of the noise found on each channel, by channel.
+        model: The nominal model.
+    """
+
+    verdict: Verdict
+    effects: Sequence[Cause]
+    ranking: Sequence[Cause]
+    where: Sequence[Place]
+    gap: Level
+    horizons: Mapping[int, Level]
+    base: Mapping[str, Fitted]
+    ladder: Sequence[tuple[str, float]]
+    summary: Sequence[str]
+    gap_map: GapMap
+    traces: Sequence[Trace]
+    residual_force: ResidualForce | None
+    held_out_episodes: Sequence[str]
+    sensor_noise: Mapping[str, float]
+    control_dt: float
+    seconds: float
+    simulated_steps: int
+    candidates: int
+    seed: int
+    model: mujoco.MjModel = field(repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract of diagnosis.json, schema 1, as plain JSON values."""
+        gap = asdict(self.gap)
+        gap["horizons"] = {str(h): asdict(level) for h, level in self.horizons.items()}
+        force = self.residual_force
+        return {
+            "schema": 1,
+            "verdict": self.verdict,
+            "effects": [asdict(c) for c in self.effects],
+            "ranking": [asdict(c) for c in self.ranking],
+            "where": [asdict(p) for p in self.where],
+            "gap": gap,
+            "ladder": [{"label": label, "gap": value} for label, value in self.ladder],
+            "parameters": {name: asdict(value) for name, value in self.base.items()},
+            "summary": list(self.summary),
+            "residual_force": None if force is None else {"joint": force.joint, "share": force.share},
+            "sensor_noise": dict(self.sensor_noise),
+            "held_out_episodes": [_number(name) for name in self.held_out_episodes],
+            "candidates": self.candidates,
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "simulated_steps": self.simulated_steps,
+        }
+
+    def save(self, folder: Path | str) -> Path:
+        """Write `diagnosis.json` into a folder; returns its path."""
+        path = Path(folder) / "diagnosis.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps(_finite(self.to_json()), indent=1) + "\n")
+        return path
+
+
+def _number(name: str) -> int | str:
+    return int(name) if name.isdigit() else name
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity and no NaN: they become null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
