@@ -1,6 +1,7 @@
 """The paper's experiments: four Gymnasium robots (and a small pendulum), two populations, random recordings."""
 
 from nfpde.benchmarks.collect import collect as collect
+from nfpde.benchmarks.collect import record as record
 from nfpde.benchmarks.pendulum import PENDULUM_ID as PENDULUM_ID
 from nfpde.benchmarks.robots import BENCHMARKS as BENCHMARKS
 from nfpde.benchmarks.robots import ROBOTS as ROBOTS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import gymnasium
@@ -47,6 +48,30 @@ def collect(
     rng = np.random.default_rng(seed)
     people = population(robot.space, target)
     xi = draw_robots(robot.space, people, episodes, rng)
+    dataset = record(robot, xi, steps=steps, rng=rng)
+    return dataset, Truth(robot.space, xi, dataset.names, people, dataset.content_hash())
+
+
+def record(
+    robot: Robot, xi: NDArray[np.float64], *, steps: int, rng: np.random.Generator, labels: Sequence[str] | None = None
+) -> Dataset:
+    """Record one random episode of a robot with each of the given parameter vectors.
+
+    Args:
+        robot: which.
+        xi: parameters (E, D), in physical units.
+        steps: longest episode, in control steps.
+        rng: of first states and commands.
+        labels: which physical robot each episode is of, E texts; None where every episode has its own.
+
+    Returns:
+        E episodes, named by their number.
+
+    Raises:
+        BadInput: the labels are not one for each episode.
+    """
+    if labels is not None and len(labels) != len(xi):
+        raise BadInput(f"there are {len(labels)} labels for {len(xi)} parameter vectors; give one for each")
     with quiet_mujoco():
         env = gymnasium.make(robot.env_id).unwrapped
     if not isinstance(env, MujocoEnv):
@@ -57,13 +82,12 @@ def collect(
     recordings = []
     for i, vector in enumerate(xi):
         writer.write(model, vector)
-        recordings.append(_record(env, f"{i}", steps, rng))
+        recordings.append(_record(env, f"{i}", steps, rng, None if labels is None else labels[i]))
     env.close()
-    dataset = _with_metadata(recordings, robot)
-    return dataset, Truth(robot.space, xi, dataset.names, people, dataset.content_hash())
+    return _with_metadata(recordings, robot)
 
 
-def _record(env: MujocoEnv, name: str, steps: int, rng: np.random.Generator) -> Episode:
+def _record(env: MujocoEnv, name: str, steps: int, rng: np.random.Generator, label: str | None) -> Episode:
     env.reset(seed=int(rng.integers(2**31)))
     # Gymnasium adds noise to quaternions too; a recorded one has length 1
     mujoco.mj_normalizeQuat(env.model, env.data.qpos)
@@ -78,7 +102,7 @@ def _record(env: MujocoEnv, name: str, steps: int, rng: np.random.Generator) -> 
         states.append(_state(env))
     commands.append(commands[-1])  # no command acts after the last row
     qpos, qvel = (np.array(part) for part in zip(*states, strict=True))
-    return Episode(name, env.dt * np.arange(len(states)), qpos, qvel, np.array(commands))
+    return Episode(name, env.dt * np.arange(len(states)), qpos, qvel, np.array(commands), label)
 
 
 def _state(env: MujocoEnv) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
