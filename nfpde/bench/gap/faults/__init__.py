@@ -1,0 +1,1 @@
+"""The faults, one family a file; each is built on MuJoCo alone."""

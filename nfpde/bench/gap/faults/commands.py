@@ -1,0 +1,80 @@
+"""Faults between the command and the drive: dead time, lag, bias, dead zone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nfpde.bench.gap.faults.base import Array, Fault
+
+if TYPE_CHECKING:
+    from nfpde.bench.gap.plant import Plant
+
+
+def _channels(plant: Plant, target: str) -> slice | int:
+    return slice(None) if target == "all" else int(plant.model.actuator(target).id)
+
+
+class DeadTime(Fault):
+    """The drive gets each command `delay` seconds late (a bus, a slow firmware)."""
+
+    def begin(self, plant: Plant, ctrl: Array) -> None:
+        """Fill the line with the command that held before."""
+        steps = round(self.values["delay"] / plant.model.opt.timestep)
+        self.memory = {"line": [ctrl.copy() for _ in range(steps)]}
+
+    def command(self, plant: Plant, ctrl: Array) -> Array:
+        """Put the new command in, take the oldest out."""
+        line = self.memory["line"]
+        line.append(ctrl.copy())
+        late, which = line.pop(0), _channels(plant, self.target)
+        out = ctrl.copy()
+        out[which] = late[which]
+        return out
+
+    def remember(self) -> dict[str, list[Array]]:
+        """The line; its arrays are never written to, so they are shared."""
+        return {"line": list(self.memory["line"])}
+
+    def recall(self, memory: dict[str, list[Array]]) -> None:
+        """Take a line up again."""
+        self.memory = {"line": list(memory["line"])}
+
+
+class Lag(Fault):
+    """The drive's set point follows the command like a low pass of first order."""
+
+    def begin(self, plant: Plant, ctrl: Array) -> None:
+        """Settled at the command that held before."""
+        self.memory = {"held": ctrl.copy()}
+
+    def command(self, plant: Plant, ctrl: Array) -> Array:
+        """The exact answer to a command constant over the physics step."""
+        held = self.memory["held"]
+        held = ctrl + (held - ctrl) * np.exp(-plant.model.opt.timestep / self.values["time_constant"])
+        self.memory = {"held": held}
+        which = _channels(plant, self.target)
+        out = ctrl.copy()
+        out[which] = held[which]
+        return out
+
+
+class Bias(Fault):
+    """The drive's zero is off: it acts as if `offset` were added to each command."""
+
+    def command(self, plant: Plant, ctrl: Array) -> Array:
+        """Add the offset."""
+        out = ctrl.copy()
+        out[_channels(plant, self.target)] += self.values["offset"]
+        return out
+
+
+class DeadZone(Fault):
+    """Small commands do nothing, larger ones lose `half_width` of their size."""
+
+    def command(self, plant: Plant, ctrl: Array) -> Array:
+        """Shrink towards zero."""
+        out, which = ctrl.copy(), _channels(plant, self.target)
+        out[which] = np.sign(out[which]) * np.maximum(np.abs(out[which]) - self.values["half_width"], 0)
+        return out

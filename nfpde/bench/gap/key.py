@@ -1,0 +1,141 @@
+"""The key of a system: its faults, how far they show, and how small the gap of the true robot is."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.bench.gap import sizes
+from nfpde.bench.gap.faults.base import Fault, Values
+from nfpde.bench.gap.nominal import Free
+from nfpde.bench.gap.plant import Plant
+from nfpde.bench.gap.record import Run
+from nfpde.bench.gap.robots import Robot
+
+Array = NDArray[np.float64]
+
+WINDOWS = 120
+"""Windows over which sizes are measured."""
+
+CHANGE = 0.1
+"""Relative change of a true value whose trace is measured."""
+
+
+@dataclass(frozen=True)
+class FaultKey:
+    """A fault as the key describes it, and what builds it."""
+
+    effect: str
+    target: str
+    values: Values
+    fault: type[Fault]
+
+    def build(self, values: Values | None = None) -> Fault:
+        """A fresh fault, with other values where they are given."""
+        return self.fault(self.target, self.values if values is None else values)
+
+
+def measure(
+    xml: str,
+    robot: Robot,
+    free: Sequence[Free],
+    faults: Sequence[FaultKey],
+    truth: Plant,
+    runs: Sequence[Run],
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    """The key of a recorded system, as plain JSON values.
+
+    `size` of a fault is the root mean square, over windows of ten steps and all channels, of what the fault changes
+    over the spread of the noise, after the free constants have taken what they can; `raw_size` is before that.
+    `visible` says for each true value what a tenth of it changes, in the same unit.
+    """
+    base = {(f.field, f.element): f.true for f in free}
+    at = sizes.windows(runs, WINDOWS, rng)
+    nominal, sound = Plant(xml, robot.control_dt), Plant(xml, robot.control_dt, base)
+    floor, spread = sizes.floor_of(truth, at)
+    before = sizes.predict(nominal, at, sizes.from_reading, clean=False)
+    scale = np.maximum(np.sqrt((before**2).mean(0)), spread)
+    gaps = {
+        "nominal": sizes.gap(before, scale),
+        "true_constants": sizes.gap(sizes.predict(sound, at, sizes.from_reading, clean=False), scale),
+        "true": sizes.gap(floor, scale),
+    }
+    answers = list(_answers(xml, robot, free, base, at))
+    described = []
+    for i, fault in enumerate(faults):
+        rest = [f.build() for j, f in enumerate(faults) if j != i]
+        lacking = Plant(xml, robot.control_dt, base, rest)
+        errors = sizes.predict(lacking, at, sizes.without(i), clean=True)
+        described.append(
+            {
+                "effect": fault.effect,
+                "target": fault.target,
+                "values": fault.values,
+                "size": sizes.size(errors, spread, answers),
+                "raw_size": sizes.size(errors, spread),
+            }
+        )
+        described[-1]["visible"] = {
+            name: _visible(xml, robot, base, faults, i, values, at, spread, described[-1]["size"])
+            for name, values in _changes(fault.values)
+        }
+    model = nominal.model
+    moved = {model.actuator(i).name: model.joint(model.actuator_trnid[i, 0]).name for i in range(model.nactuator)}
+    return {
+        "schema": 1,
+        "robot": robot.name,
+        "faults": described,
+        "gap": gaps,
+        "noise_floor": gaps["true"] / gaps["nominal"],
+        "windows": len(at.starts),
+        "actuators": moved,
+    }
+
+
+def _answers(
+    xml: str, robot: Robot, free: Sequence[Free], base: dict[Any, float], at: sizes.Windows
+) -> Iterator[Array]:
+    """What a small change of each free constant does to the predictions of the robot without faults."""
+    if not free:
+        return
+    reference = sizes.predict(Plant(xml, robot.control_dt, base), at, sizes.from_clean, clean=True)
+    for f in free:
+        moved = {**base, (f.field, f.element): f.true * 1.02}
+        yield sizes.predict(Plant(xml, robot.control_dt, moved), at, sizes.from_clean, clean=True) - reference
+
+
+def _changes(values: Values) -> Iterator[tuple[str, Values]]:
+    """Every number of the values, changed by a tenth; of a vector, by a tenth of its length in each direction."""
+    for name, value in values.items():
+        if isinstance(value, list):
+            step = CHANGE * float(np.linalg.norm(value))
+            for i in range(len(value)):
+                changed = copy.deepcopy(values)
+                changed[name][i] += step
+                yield f"{name}[{i}]", changed
+        else:
+            yield name, {**values, name: value * (1 + CHANGE)}
+
+
+def _visible(
+    xml: str,
+    robot: Robot,
+    base: dict[Any, float],
+    faults: Sequence[FaultKey],
+    i: int,
+    values: Values,
+    at: sizes.Windows,
+    spread: Array,
+    size: float,
+) -> float:
+    if "delay" in values:  # another delay has another memory; its trace is in proportion to it
+        return CHANGE * size
+    built = [f.build(values if j == i else None) for j, f in enumerate(faults)]
+    other = Plant(xml, robot.control_dt, base, built)
+    return sizes.size(sizes.predict(other, at, sizes.from_clean_moment, clean=True), spread)
