@@ -1,0 +1,218 @@
+"""From what was found to the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset
+from nfpde.effects import Effect
+from nfpde.gap.fit import Fit
+from nfpde.gap.leftover import describe, leftover
+from nfpde.gap.levels import Yardstick, shrink_interval
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.report import Cause, Fitted, GapReport, Level, Rival, Trace, Verdict
+from nfpde.gap.select import Accepted, Selection, key
+from nfpde.gap.separate import separating_experiment
+from nfpde.gap.trial import Trial
+from nfpde.gap.where import gap_map, needed_forces, places
+from nfpde.gap.words import summary
+
+Array = NDArray[np.float64]
+
+NEAR_FLOOR = 1.5
+"""A gap below this multiple of the noise floor is closed: the floor itself is an estimate."""
+
+SPOTLESS = 1e-6
+"""A gap below this share of the nominal model's is closed, whatever the noise."""
+
+CLOSED = 0.9
+"""Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
+else is at work."""
+
+TRACES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """All that a diagnosis found.
+
+    nominal: held-out residuals of the nominal model (N, nv, C)
+    base: parameters fitted, without effects; final: with them
+    accepted: effects in the order of their acceptance, which is their order in `final`
+    sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
+    """
+
+    dataset: Dataset
+    recordings: Recordings
+    nominal: Array
+    base: Trial
+    final: Trial
+    accepted: tuple[Accepted, ...]
+    selection: Selection
+    yardstick: Yardstick
+    sigma: Array
+    typical: Array
+    seed: int
+
+    @cached_property
+    def without(self) -> list[Trial]:
+        """For each accepted effect, the best model without it."""
+        if len(self.accepted) == 1:
+            return [self.base]
+        return [self.selection.without(self.final, i) for i in range(len(self.accepted))]
+
+    def level(self, horizon: int | None) -> Level:
+        """The ladder at one horizon (an index), or over all."""
+        count = len(self.recordings.horizons)
+        columns = slice(None) if horizon is None else [horizon, count + horizon]
+        gaps = [self.yardstick.squares(r)[..., columns].mean() for r in (self.nominal, self.base.held, self.final.held)]
+        floor = (self.yardstick.variance / self.yardstick.scale**2)[:, columns].mean()
+        unit = max(float(gaps[0]), 1e-300)
+        return Level(1.0, float(gaps[1]) / unit, float(gaps[2]) / unit, float(floor) / unit)
+
+    def cause(self, effect: Effect, fit: Fit, before: Trial, after: Trial) -> Cause:
+        """An effect as it stands in a fit; `before` and `after` are the models without and with it."""
+        index = [key(e) for e in fit.replay.effects].index(key(effect))
+        block = self.recordings.block
+        gaps = [self.yardstick.gap(t.held) for t in (before, after)]
+        shrink, low, high = shrink_interval(gaps[0], gaps[1], block, self.seed)
+        gain, error, _ = self.selection.court.gain(after, before)
+        columns = fit.replay.columns(index)
+        values = _fitted(fit, columns, [q.name for q in effect.quantities])
+        name, target = key(effect)
+        return Cause(name, target, effect.sentence, values, shrink, low, high, gain, error)
+
+
+def answer(outcome: Outcome, seconds: float) -> GapReport:
+    """Put the report together."""
+    selection, recordings, final, base = outcome.selection, outcome.recordings, outcome.final, outcome.base
+    model = selection.model
+    quiet = learn_scatter(final.fit.residuals, final.fit.replay.nfree, selection.court.floor)
+    at_base = needed_forces(base.fit, recordings.held, recordings, quiet, outcome.typical)
+    forces = [
+        needed_forces(final.fit, w, recordings, quiet, outcome.typical) for w in (recordings.fit, recordings.held)
+    ]
+    left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
+    gap = outcome.level(None)
+    verdict = _verdict(gap, bool(outcome.accepted))
+    force = describe(left, model, recordings.held) if verdict == "unexplained" else None
+    effects = _causes(outcome)
+    ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
+    found = gap_map(model, recordings.held, at_base)
+    where = places(found, model, recordings.held)
+    names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
+    parameters = _fitted(final.fit, slice(0, len(names)), names)
+    for replay in {id(t.fit.replay): t.fit.replay for t in (base, final, *outcome.without)}.values():
+        selection.steps += replay.sim.simulated_steps
+    return GapReport(
+        verdict=verdict,
+        effects=effects,
+        ranking=sorted(ranking, key=lambda c: -c.shrink),
+        where=where,
+        gap=gap,
+        horizons={h: outcome.level(i) for i, h in enumerate(recordings.horizons)},
+        base=parameters,
+        ladder=_ladder(outcome, gap),
+        summary=summary(verdict, gap, effects, where, parameters, force),
+        gap_map=found,
+        traces=_traces(outcome),
+        residual_force=force,
+        held_out_episodes=recordings.held_out,
+        sensor_noise=dict(zip(final.fit.replay.sim.states.channels, outcome.sigma.tolist(), strict=True)),
+        control_dt=outcome.dataset.control_dt,
+        seconds=seconds,
+        simulated_steps=selection.steps,
+        candidates=len(selection.candidates),
+        seed=outcome.seed,
+        model=model,
+    )
+
+
+def _verdict(gap: Level, named: bool) -> Verdict:
+    """What is left beside the noise floor decides, and beside what there was to explain."""
+    if gap.after_effects <= NEAR_FLOOR * gap.noise_floor or gap.after_effects < SPOTLESS:
+        return "effects" if named else "no_gap"
+    if named and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor):
+        return "effects"
+    return "unexplained"
+
+
+def _causes(outcome: Outcome) -> list[Cause]:
+    out = []
+    for accepted, before in zip(outcome.accepted, outcome.without, strict=True):
+        cause = outcome.cause(accepted.effect, outcome.final.fit, before, outcome.final)
+        rivals = [t.effect for t in accepted.rivals if t.effect is not None]
+        text = ""
+        if rivals:
+            names = (_called(accepted.effect), _called(rivals[0]))
+            text = separating_experiment(
+                accepted.trial.fit, accepted.rivals[0].fit, outcome.recordings.held, outcome.sigma, names
+            )
+        others = [Rival(*key(e)) for e in rivals]
+        out.append(replace(cause, indistinguishable=others, separating_experiment=text))
+    return sorted(out, key=lambda c: -c.shrink)
+
+
+def _called(effect: Effect) -> str:
+    name, target = key(effect)
+    return f"{name} at {target}" if target else name
+
+
+def _fitted(fit: Fit, columns: slice, names: list[str]) -> dict[str, Fitted]:
+    replay = fit.replay
+    error = fit.standard_errors[columns]
+    out = {}
+    for i, (name, p) in enumerate(zip(names, replay.parameters[columns], strict=True)):
+        value, low, high = float(fit.xi[columns][i]), p.low, p.high
+        margin = 1e-3 * (high - low)
+        span = 1.96 * float(error[i])
+        leans = value < low + margin or value > high - margin
+        out[name] = Fitted(value, max(low, value - span), min(high, value + span), p.unit or "-", leans)
+    return out
+
+
+def _ladder(outcome: Outcome, gap: Level) -> list[tuple[str, float]]:
+    rungs = [("nominal model", 1.0), ("+ parameters", gap.after_parameters)]
+    unit = float(outcome.yardstick.squares(outcome.nominal).mean())
+    for i, accepted in enumerate(outcome.accepted[:-1]):
+        trial = outcome.final
+        for later in range(len(outcome.accepted) - 1, i, -1):
+            trial = outcome.selection.without(trial, later)
+        rungs.append((f"+ {_called(accepted.effect)}", float(outcome.yardstick.gap(trial.held).mean()) / unit))
+    if outcome.accepted:
+        rungs.append((f"+ {_called(outcome.accepted[-1].effect)}", gap.after_effects))
+    return [*rungs, ("noise floor", gap.noise_floor)]
+
+
+def _traces(outcome: Outcome) -> list[Trace]:
+    """The held-out windows that the base predicts worst, one of each episode and channel first."""
+    recordings, base, final = outcome.recordings, outcome.base.fit, outcome.final.fit
+    windows, states = recordings.held, base.replay.sim.states
+    gap = outcome.yardstick.gap(outcome.base.held)
+    worst = np.argsort(-gap)[:TRACES]
+    chosen = windows[worst]
+    before, after = (f.replay.predict(f.xi[None], chosen)[0] for f in (base, final))
+    scale = np.sqrt(np.nanmean(states.difference(chosen.target, chosen.state[:, :1]) ** 2, axis=(0, 1))) + 1e-12
+    out = []
+    for i in range(len(worst)):
+        error = np.abs(np.nan_to_num(states.difference(before[i], chosen.target[i]))).max(0) / scale
+        channel = int(error.argmax())
+        reference = chosen.state[i, 0]
+        moved = [
+            states.difference(x, np.broadcast_to(reference, x.shape))[:, channel]
+            for x in (chosen.target[i], before[i], after[i])
+        ]
+        measured, simulated, repaired = (np.concatenate([[0.0], m]) for m in moved)
+        time = (chosen.row[i] + np.arange(chosen.horizon + 1)) * chosen.control_dt
+        label = states.channels[channel]
+        unit = (
+            "rad or m, from the window's start" if label.startswith("qpos") else "rad/s or m/s, from the window's start"
+        )
+        episode = outcome.dataset.names[int(chosen.episode[i])]
+        out.append(Trace(episode, label, unit, time, measured, simulated, repaired))
+    return out

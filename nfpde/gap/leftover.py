@@ -1,0 +1,118 @@
+"""What remains: whether a free-form force could still shrink the gap, by how much, and what it looks like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.gap.noise import Scatter
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.report import ResidualForce
+from nfpde.gap.trial import block_test
+from nfpde.gap.where import Forces, joint_columns
+
+Array = NDArray[np.float64]
+
+_KNOTS = 12
+_RIDGES = np.logspace(-3, 3, 13)
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """What a smooth force on one degree of freedom takes away on held-out windows.
+
+    dof: the degree of freedom
+    share: of the squared whitened residual beyond noise that it removes there
+    p_value: of its removing nothing
+    """
+
+    dof: int
+    share: float
+    p_value: float
+    held: Forces
+
+
+def leftover(
+    recordings: Recordings, fit: Forces, held: Forces, noise: Scatter, residuals: Array, model: mujoco.MjModel
+) -> Leftover:
+    """Fit a smooth force of position, speed, command and time to one half, and apply it to the other.
+
+    Args:
+        recordings: Their windows.
+        fit: Forces that the final model lacks in the fit's windows.
+        held: The same in the held-out windows.
+        noise: Scatter of the residuals when nothing is missing.
+        residuals: Of the final model in the held-out windows (N, nv, C).
+        model: Its actuators tell which command belongs to which degree of freedom.
+    """
+    white = noise.whiten(residuals)
+    before = (white**2).sum((1, 2))
+    best: Leftover | None = None
+    for dof in range(model.nv):
+        knots = _knots(_inputs(model, recordings.fit, dof))
+        a = _features(_inputs(model, recordings.fit, dof), knots)
+        b = _features(_inputs(model, recordings.held, dof), knots)
+        force = b @ _ridge(a, fit.value[:, dof], fit.error[:, dof])
+        after = (noise.whiten(residuals + force[:, None, None] * held.response[dof]) ** 2).sum((1, 2))
+        _, _, p = block_test(before - after, recordings.block)
+        beyond = max(float(before.mean()) - residuals[0].size, 1e-300)
+        found = Leftover(dof, float((before - after).mean() / beyond), p * model.nv, held)
+        if best is None or found.share > best.share:
+            best = found
+    if best is None:
+        raise RuntimeError("the model has no degree of freedom")
+    return best
+
+
+def describe(found: Leftover, model: mujoco.MjModel, windows: Windows) -> ResidualForce:
+    """The force that is left over on a joint, window by window, for a picture."""
+    names, columns = joint_columns(model)
+    joint = next(j for j, dofs in enumerate(columns) if found.dof in dofs)
+    inputs = _inputs(model, windows, found.dof)
+    unit = "N" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "Nm"
+    value, error = found.held.value[:, found.dof], found.held.error[:, found.dof]
+    return ResidualForce(names[joint], unit, found.share, inputs[0], inputs[1], inputs[2], value, error)
+
+
+def _inputs(model: mujoco.MjModel, windows: Windows, dof: int) -> list[Array]:
+    """Position, speed, command and time of every window, for a degree of freedom."""
+    joint = int(model.dof_jntid[dof])
+    address = int(model.jnt_qposadr[joint]) + (dof - int(model.jnt_dofadr[joint]))
+    drives = [i for i in range(model.nu) if model.actuator_trnid[i, 0] == joint]
+    command = windows.ctrl[:, :, drives].mean((1, 2)) if drives else np.zeros(len(windows))
+    mean = windows.state.mean(1)
+    return [mean[:, address], mean[:, model.nq + dof], command, windows.row.astype(float)]
+
+
+def _knots(inputs: list[Array]) -> list[Array]:
+    return [np.unique(np.quantile(x, np.linspace(0, 1, _KNOTS))) for x in inputs]
+
+
+def _features(inputs: list[Array], knots: list[Array]) -> Array:
+    """Additive piecewise-linear functions of every input, and a constant."""
+    columns = [np.ones((len(inputs[0]), 1))]
+    for x, at in zip(inputs, knots, strict=True):
+        if len(at) > 1:
+            columns.append(np.stack([np.interp(x, at, row) for row in np.eye(len(at))], axis=1))
+    return np.hstack(columns)
+
+
+def _ridge(features: Array, force: Array, error: Array) -> Array:
+    """Ridge regression with weights from the errors, its strength by generalised cross-validation."""
+    spread = max(float(np.median(np.abs(force))), 1e-300)
+    weight = 1.0 / np.hypot(error, spread)
+    limit = np.quantile(np.abs(force), 0.98)
+    a, y = features * weight[:, None], np.clip(force, -limit, limit) * weight
+    u, s, vt = np.linalg.svd(a, full_matrices=False)
+    best, answer = np.inf, np.zeros(features.shape[1])
+    for strength in _RIDGES * max(float(s[0]) ** 2 / len(y), 1e-300):
+        shrink = s**2 / (s**2 + strength)
+        left = y - u @ (shrink * (u.T @ y))
+        score = float((left**2).mean() / (1 - shrink.sum() / len(y)) ** 2)
+        if score < best:
+            best, answer = score, vt.T @ (s / (s**2 + strength) * (u.T @ y))
+    return answer

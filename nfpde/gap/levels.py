@@ -1,0 +1,118 @@
+"""How large a gap is: the noise of the sensors, the floor it puts under predictions, and the gap in its units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.gap.noise import KAPPA
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.replay import Replay
+
+Array = NDArray[np.float64]
+
+_DRAWS = 500
+_MAD = 1.4826
+"""Ratio of standard deviation to median absolute deviation of a Gaussian."""
+
+
+def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
+    """Standard deviation of the sensors' noise on every channel of a difference, (2 nv,).
+
+    One-step residuals r(t) = e(t+1) - A e(t) + gap hold the noise e twice, with opposite signs. The second difference
+    r(t) - (r(t-1) + r(t+1)) / 2 removes a gap that lasts for a few steps, and with A near one has variance 5 var(e).
+    The median keeps out contacts and jumps.
+
+    Args:
+        replay: The model that predicts.
+        xi: Its free parameters (D,).
+        rows: Windows of one control step, many of them in succession.
+    """
+    states = replay.predict(xi[None], rows)[0]
+    r = replay.sim.states.difference(states, rows.target)[:, 0]
+    follows = (np.diff(rows.row) == 1) & (np.diff(rows.episode) == 0)
+    middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
+    if len(middle) < 8:
+        return np.zeros(r.shape[1])
+    high = r[middle] - 0.5 * (r[middle - 1] + r[middle + 1])
+    sound = np.isfinite(high).all(1)
+    high, episode = high[sound], rows.episode[middle][sound]
+    # by episode, because the median of episodes with unlike noise would lie below their mean square
+    parts = [high[episode == e] for e in np.unique(episode)]
+    variance = [len(p) * (_MAD * np.median(np.abs(p), axis=0)) ** 2 for p in parts]
+    return np.sqrt(np.sum(variance, axis=0) / max(1, len(high)) / 5.0) * np.ones(r.shape[1])
+
+
+def noise_variance(
+    replay: Replay, xi: Array, windows: Windows, recordings: Recordings, sigma: Array, seed: int
+) -> Array:
+    """Variance of a residual that sensor noise alone gives, by channel (nv, C).
+
+    Noise at a window's start spreads as the simulation carries it on; noise at its end adds to that.
+    """
+    model, nv = replay.sim.model, replay.nv
+    rng = np.random.default_rng(seed)
+    start = windows.state[:, 0].copy()
+    shift = rng.normal(size=(len(windows), 2 * nv)) * sigma
+    for qpos, dq in zip(start[:, : model.nq], shift[:, :nv], strict=True):
+        mujoco.mj_integratePos(model, qpos, dq, 1.0)
+    start[:, model.nq :] += shift[:, nv:]
+    state = np.concatenate([start[:, None], windows.state[:, 1:]], axis=1)
+    moved = replace(windows, state=state)
+    steps = np.array(recordings.horizons) - 1
+    a = replay.predict(xi[None], windows)[0][:, steps]
+    b = replay.predict(xi[None], moved)[0][:, steps]
+    spread = replay.by_dof(replay.sim.states.difference(b, a)) ** 2
+    spread = np.minimum(spread, np.nanquantile(spread, 0.98, axis=0))
+    own = np.stack([sigma[:nv], sigma[nv:]], axis=1) ** 2
+    return np.nanmean(spread, axis=0) + own.repeat(len(steps), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """Turns residuals into a gap: mean squares in units of noise.
+
+    scale: what counts as one, by channel (nv, C): the noise that sensors put on a prediction, and `KAPPA` of what the
+        base model leaves, below which differences are of no interest
+    variance: of a residual that noise alone gives (nv, C)
+    """
+
+    scale: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, variance: Array, base: Array) -> Yardstick:
+        """From the noise's variance (nv, C) and the residuals of the base model (N, nv, C)."""
+        squares = np.minimum(base**2, np.nanquantile(base**2, 0.98, axis=0))
+        own = KAPPA**2 * np.nanmean(squares, axis=0)
+        total = variance + own
+        return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), variance)
+
+    def squares(self, residuals: Array) -> Array:
+        """Squared residuals in units of noise (N, nv, C); a diverged window counts like the worst finite one."""
+        squares = (residuals / self.scale) ** 2
+        worst = np.nanmax(squares, initial=1.0)
+        return np.where(np.isfinite(squares), squares, worst)
+
+    def gap(self, residuals: Array) -> Array:
+        """Gap of every window (N,)."""
+        return self.squares(residuals).mean((1, 2))
+
+    def floor(self) -> float:
+        """The gap that noise alone gives."""
+        return float((self.variance / self.scale**2).mean())
+
+
+def shrink_interval(before: Array, after: Array, block: NDArray[np.intp], seed: int) -> tuple[float, float, float]:
+    """1 - after/before of the mean gap, with a 95 % interval by resampling blocks of windows (N,)."""
+    groups = np.unique(block)
+    sums = np.array([[before[block == g].sum(), after[block == g].sum()] for g in groups])
+    rng = np.random.default_rng(seed)
+    drawn = sums[rng.integers(len(groups), size=(_DRAWS, len(groups)))].sum(1)
+    shrink = 1.0 - drawn[:, 1] / np.maximum(drawn[:, 0], 1e-300)
+    low, high = np.quantile(shrink, [0.025, 0.975])
+    return float(1.0 - after.sum() / max(float(before.sum()), 1e-300)), float(low), float(high)

@@ -1,0 +1,83 @@
+"""What residuals scatter by: learned for every degree of freedom from what a fit leaves over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from nfpde.estimation.trajectory.noise import Noise, learn_noise
+
+Array = NDArray[np.float64]
+
+KAPPA = 0.03
+"""Residuals below this share of what the base model leaves are not weighed: who explains the gap to 0.1 % of its
+variance explains it, and which of two such effects fits closer is a matter of numerics, not of evidence."""
+
+LOST = 1e3
+"""A diverged window counts as a residual of so many times the floor in every channel: bad, but not beyond bounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Student t noise of every degree of freedom over its channels (positions and velocities at all horizons).
+
+    noises: one for each degree of freedom
+    floor: smallest residual believed (nv, C)
+    """
+
+    noises: tuple[Noise, ...]
+    floor: Array
+
+    def whiten(self, residuals: Array) -> Array:
+        """White residuals, (..., nv, C) to the same shape."""
+        filled = np.where(np.isfinite(residuals), residuals, LOST * self.floor)
+        return np.stack([filled[..., d, :] @ n.whitener for d, n in enumerate(self.noises)], axis=-2)
+
+    def weights(self, white: Array) -> Array:
+        """What each window counts in least squares, by degree of freedom: (..., nv, C) to (..., nv)."""
+        squares = (white**2).sum(-1)
+        return np.stack([n.weight(squares[..., d]) for d, n in enumerate(self.noises)], axis=-1)
+
+    def log_density(self, residuals: Array) -> Array:
+        """Log density of windows, summed over degrees of freedom: (..., N, nv, C) to (..., N) [nats]."""
+        squares = (self.whiten(residuals) ** 2).sum(-1)
+        parts = [_constant(n) - 0.5 * n.cost(squares[..., d]) for d, n in enumerate(self.noises)]
+        return np.sum(parts, axis=0)
+
+
+def _constant(noise: Noise) -> float:
+    """The part of a log density that does not depend on the residual."""
+    channels, degrees = len(noise.whitener), noise.degrees
+    volume = float(np.linalg.slogdet(noise.whitener)[1])
+    if degrees >= 1e6:
+        return volume - 0.5 * channels * np.log(2 * np.pi)
+    tails = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
+    return float(volume + tails)
+
+
+def learn_scatter(residuals: Array, fitted: int, floor: Array) -> Scatter:
+    """Maximum-likelihood scatter of residuals (N, nv, C) that `fitted` parameters were fitted to."""
+    share = max(1, fitted // residuals.shape[1])
+    return Scatter(tuple(learn_noise([residuals[:, d]], share, floor[d]) for d in range(residuals.shape[1])), floor)
+
+
+def floor_of(residuals: Array, moved: Array) -> Array:
+    """Smallest believable residual of every channel.
+
+    Args:
+        residuals: Of the base model, (N, nv, C).
+        moved: By how much the channels change over the horizons, as residuals, (N, nv, C): the precision of a
+            simulation is counted in these.
+
+    Returns:
+        Standard deviations (nv, C), positive.
+    """
+    squares = residuals**2
+    squares = np.minimum(squares, np.nanquantile(squares, 0.98, axis=0))  # one bad window shall not hide the rest
+    typical = np.sqrt(np.nanmean(squares, axis=0))
+    spread = np.sqrt((moved**2).mean(0))
+    spread = np.maximum(spread, 1e-6 * spread.max(initial=0.0) + 1e-12)
+    return np.maximum(KAPPA * typical, 1e-7 * spread)

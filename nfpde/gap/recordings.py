@@ -1,0 +1,134 @@
+"""Recordings cut for a diagnosis: windows to fit, windows held out, and the horizons to compare at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset, Windows
+from nfpde.errors import BadDataset
+
+WINDOW_TIME = 0.25
+"""Longest window [s]: long enough for a weak force to move the robot, short enough for a prediction to hold."""
+
+LEAST_WINDOWS = 240
+"""Windows wanted, over fit and held-out episodes; short recordings are cut into shorter windows to get there."""
+
+MOST_STEPS, LEAST_STEPS = 60, 4
+"""Control steps of a window."""
+
+MOST_WINDOWS = 200
+"""Windows used of each half: more tell little that these do not."""
+
+BLOCK = 5
+"""Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other."""
+
+FEWEST = 20
+"""Windows below which nothing is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Windows of the two halves of a data set.
+
+    horizons: control steps after which predictions are compared, ascending; the last is the window's length
+    block: of every held-out window, its group for standard errors (held,)
+    held_out: names of the held-out episodes
+    rows: held-out single steps in a row, for the sensor noise
+    """
+
+    fit: Windows
+    held: Windows
+    horizons: tuple[int, ...]
+    block: NDArray[np.intp]
+    held_out: tuple[str, ...]
+    rows: Windows
+
+
+def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int = MOST_WINDOWS) -> Recordings:
+    """Split by episode (one episode: by time), and cut.
+
+    Args:
+        dataset: The recordings.
+        history: Commands needed from before a window's start.
+        seed: Decides which episodes are held out.
+        windows: Most windows of each half.
+
+    Raises:
+        BadDataset: Too little data for `FEWEST` windows of each half.
+    """
+    lengths = np.array([len(e) for e in dataset])
+    steps = _window_steps(lengths, dataset.control_dt)
+    every = dataset.windows(steps, history=history)
+    held_episodes = _held_out(lengths, steps, seed)
+    if held_episodes is None:
+        late = every.row + steps > (lengths[0] - 1) // 2
+        early = ~late & (every.row + steps <= (lengths[0] - 1) // 2)
+        held_names: Sequence[str] = dataset.names
+    else:
+        late = np.isin(every.episode, held_episodes)
+        early = ~late
+        held_names = [dataset.names[i] for i in held_episodes]
+    fit, held = every[np.flatnonzero(early)], every[np.flatnonzero(late)]
+    for half, name in ((fit, "fit"), (held, "hold out")):
+        if len(half) < FEWEST:
+            raise BadDataset(
+                f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
+                f"{name}, "
+                f"at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, best as "
+                f"four or more episodes"
+            )
+    fit, held = _spread(fit, windows), _spread(held, windows)
+    singles = dataset.windows(1, history=history)
+    inside = np.isin(singles.episode, np.unique(held.episode))
+    if held_episodes is None:
+        inside &= singles.row > (lengths[0] - 1) // 2
+    rows = singles[np.flatnonzero(inside)[: 20 * windows]]
+    return Recordings(fit, held, _horizons(steps), _blocks(held), tuple(held_names), rows)
+
+
+def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
+    by_time = round(WINDOW_TIME / control_dt)
+    by_data = int((lengths - 1).sum()) // LEAST_WINDOWS
+    steps = int(np.clip(min(by_time, by_data), LEAST_STEPS, MOST_STEPS))
+    longest = int(lengths.max()) - 1
+    return max(1, min(steps, longest // 2 if len(lengths) == 1 else longest))
+
+
+def _held_out(lengths: NDArray[np.intp], steps: int, seed: int) -> NDArray[np.intp] | None:
+    """Episodes held out: about half of the windows; None for a single usable episode."""
+    usable = np.flatnonzero(lengths > steps)
+    if len(usable) < 2:
+        return None
+    order = np.random.default_rng(seed).permutation(usable)
+    total = np.cumsum(lengths[order] // steps)
+    count = int(np.clip(np.searchsorted(total, total[-1] / 2) + 1, 1, len(order) - 1))
+    return np.sort(order[:count])
+
+
+def _horizons(steps: int) -> tuple[int, ...]:
+    wanted = [1, round(steps / 8), round(steps / 4), round(steps / 2), steps]
+    return tuple(sorted({int(np.clip(h, 1, steps)) for h in wanted}))
+
+
+def _spread(windows: Windows, most: int) -> Windows:
+    """At most `most` windows, evenly over all of them."""
+    if len(windows) <= most:
+        return windows
+    return windows[np.unique(np.linspace(0, len(windows) - 1, most).round().astype(int))]
+
+
+def _blocks(windows: Windows) -> NDArray[np.intp]:
+    """Groups of neighbouring windows of one episode."""
+    block = np.empty(len(windows), dtype=np.intp)
+    number = -1
+    for episode in np.unique(windows.episode):
+        mine = np.flatnonzero(windows.episode == episode)
+        parts = max(1, len(mine) // BLOCK)
+        for part in np.array_split(mine, parts):
+            number += 1
+            block[part] = number
+    return block

@@ -1,0 +1,96 @@
+"""Replaying windows with a set of effects: residuals by degree of freedom, at the horizons to compare at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.effects import Effect, Quantity, World
+from nfpde.parameters import ParameterSpace
+from nfpde.sim import MujocoSimulator
+
+Array = NDArray[np.float64]
+
+_MEMORY = 1 << 24
+"""Numbers of predicted states held at once."""
+
+
+def residual_force(model: mujoco.MjModel) -> Effect:
+    """A constant generalized force on every degree of freedom, for the sake of comparison; no effect of the library."""
+
+    def step(self: Effect, world: World, rows: NDArray[np.intp], values: Array) -> None:
+        world.qfrc_applied[rows] += values
+
+    names = [f"f{i}" for i in range(model.nv)]
+    members = {
+        "name": "residual_force",
+        "kind": None,
+        "quantities": tuple(Quantity(n, "Nm", -math.inf, math.inf, neutral=0.0) for n in names),
+        "default_bounds": dict.fromkeys(names, (-1e6, 1e6)),
+        "sentence": "A force of unknown origin.",
+        "step": step,
+        "__doc__": "A constant generalized force on every degree of freedom.",
+    }
+    return type("ResidualForceEffect", (Effect,), members)()
+
+
+class Replay:
+    """A model with free base parameters and effects, ready to replay windows.
+
+    Attributes:
+        low, high: bounds of the free parameters: base parameters first, then those of the effects (D,).
+        nbase: number of base parameters.
+        effects: the effects.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect], nthread: int = 0
+    ) -> None:
+        self.effects = tuple(effects)
+        self.sim = MujocoSimulator(
+            model, space, [*effects, residual_force(model)], nthread=nthread, check_influence=False
+        )
+        self.nv = model.nv
+        self.nbase = 0 if space is None else len(space)
+        self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]
+        self.parameters = list(self.sim.space)[: -self.nv]
+
+    @property
+    def nfree(self) -> int:
+        """Number of free parameters D."""
+        return len(self.low)
+
+    def columns(self, effect: int) -> slice:
+        """Where the parameters of an effect stand."""
+        first = self.nbase + sum(len(e.parameters) for e in self.effects[:effect])
+        return slice(first, first + len(self.effects[effect].parameters))
+
+    def predict(self, xi: Array, windows: Windows, force: Array | None = None) -> Array:
+        """Predicted measurements (M, N, H, nx) of free parameters (M, D), with a generalized force (M, nv) or none."""
+        force = np.zeros((len(xi), self.nv)) if force is None else force
+        return self.sim.predict(np.hstack([xi, force]), windows)
+
+    def residuals(self, xi: Array, windows: Windows, horizons: Sequence[int], force: Array | None = None) -> Array:
+        """Predicted - measured by degree of freedom: free parameters (M, D) to (M, N, nv, 2 horizons).
+
+        The channels of a degree of freedom are its position at every horizon, then its velocity. Windows that diverge
+        are NaN.
+        """
+        size = max(1, _MEMORY // (len(windows) * windows.horizon * self.sim.states.nx))
+        steps = np.array(horizons) - 1
+        parts = []
+        for start in range(0, len(xi), size):
+            part = slice(start, start + size)
+            states = self.predict(xi[part], windows, None if force is None else force[part])[:, :, steps]
+            parts.append(self.by_dof(self.sim.states.difference(states, windows.target[:, steps])))
+        return np.concatenate(parts)
+
+    def by_dof(self, difference: Array) -> Array:
+        """Differences (..., h, 2 nv) to (..., nv, 2 h): positions at every horizon, then velocities."""
+        nv = self.nv
+        return np.concatenate([difference[..., :nv], difference[..., nv:]], axis=-2).swapaxes(-1, -2)

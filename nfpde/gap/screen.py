@@ -1,0 +1,119 @@
+"""Screening: what each candidate effect could explain at most, from a few simulations of it at the base fit.
+
+A score test with finite changes: the change that an effect makes to the residuals is projected on the complement of
+what the free parameters could do themselves, and scaled to fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import lsq_linear
+
+from nfpde.effects import Effect
+from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.replay import Replay
+
+Array = NDArray[np.float64]
+
+_MOST_SCALE = 1.5
+"""How far beyond a screened magnitude the linear scale may go."""
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A candidate and what it could explain.
+
+    effect: the candidate
+    replay: base effects and the candidate
+    explained: reduction of half the weighted squares, in nats
+    guesses: values to start a fit from (G, P)
+    change: the projected, weighted change that explains most, of unit length (n,)
+    """
+
+    effect: Effect
+    replay: Replay
+    explained: float
+    guesses: Array
+    change: Array
+
+
+def screen(
+    fitter: Fitter,
+    base: Fit,
+    candidates: Sequence[tuple[Effect, Array]],
+    replay_with: Callable[[Effect], Replay],
+    report: Callable[[int], None] = lambda done: None,
+) -> list[Screened]:
+    """Screen candidates at a linearised base fit, best first.
+
+    Args:
+        fitter: Of the windows.
+        base: The base fit, with slopes.
+        candidates: Each with the values to try, (K, P).
+        replay_with: Makes the replay of the base and one more effect, its parameters last.
+        report: Called with the number of candidates done.
+    """
+    white = base.scatter.whiten(base.residuals)
+    root = np.sqrt(base.scatter.weights(white))[..., None]
+    residual = (white * root).ravel()
+    span = _span(base, root)
+    residual = residual - span @ (span.T @ residual)
+    found = []
+    for done, (effect, values) in enumerate(candidates):
+        replay = replay_with(effect)
+        xi = np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
+        there = replay.residuals(xi, fitter.windows, fitter.horizons)
+        changes = (base.scatter.whiten(there) - white) * root
+        changes = changes.reshape(len(values), -1)
+        changes = changes - (changes @ span) @ span.T
+        found.append(_judge(effect, replay, values, residual, changes))
+        report(done + 1)
+    return sorted(found, key=lambda s: -s.explained)
+
+
+def _span(base: Fit, root: Array) -> Array:
+    """Orthonormal columns of what the free parameters can do to the weighted residuals, (n, D)."""
+    slopes = [(base.scatter.whiten(s) * root).ravel() for s in base.slopes]
+    columns = np.array(slopes).reshape(len(slopes), base.residuals.size).T
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 1e-9 * norms.max(initial=1e-300)]
+    if not columns.shape[1]:
+        return columns
+    q, r, _ = qr(columns / np.linalg.norm(columns, axis=0), mode="economic", pivoting=True)
+    return q[:, np.abs(np.diag(r)) > 1e-7]
+
+
+def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, changes: Array) -> Screened:
+    """Best scaling of one change, and of all together."""
+    neutral = np.array([q.neutral for q in effect.quantities])
+    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+    norms = (changes**2).sum(1)
+    along = -changes @ residual
+    scale = np.clip(along / np.maximum(norms, 1e-300), 0.0, _MOST_SCALE)
+    single = scale * along - 0.5 * scale**2 * norms
+    best = int(single.argmax())
+    guesses = [neutral + scale[best] * (values[best] - neutral), values[best]]
+    explained, change = float(single[best]), changes[best]
+    if len(values) > 1 and explained > 0:
+        gram = changes @ changes.T
+        ridge = 1e-9 * max(float(np.trace(gram)), 1e-300)
+        triangle = np.linalg.cholesky(gram + ridge * np.eye(len(gram)))
+        answer = lsq_linear(triangle.T, np.linalg.solve(triangle, along), bounds=(0.0, _MOST_SCALE))
+        mix = np.asarray(answer.x)
+        together = float(mix @ along - 0.5 * mix @ gram @ mix)
+        if together > explained:
+            explained, change = together, mix @ changes
+            guesses.append(neutral + mix @ (values - neutral))
+    shape = [i for i, q in enumerate(effect.quantities) if q.shape_only]
+    kept = np.array(guesses)
+    kept[:, shape] = values[best, shape]
+    margin = 1e-3 * (high - low)
+    length = float(np.linalg.norm(change))
+    return Screened(
+        effect, replay, explained, np.clip(kept, low + margin, high - margin), change / length if length else change
+    )

@@ -1,0 +1,171 @@
+"""Forward selection of effects, with a second look at the earlier ones, and who cannot be told from whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects import Effect
+from nfpde.gap.levels import Yardstick
+from nfpde.gap.replay import Replay
+from nfpde.gap.screen import Screened, screen
+from nfpde.gap.trial import APART, LEVEL, Court, Trial, block_test
+from nfpde.parameters import ParameterSpace
+
+Array = NDArray[np.float64]
+
+MOST_EFFECTS = 3
+"""Effects accepted at most."""
+
+WORTH = 0.01
+"""Share of the gap, as it was before any effect, that an effect must remove to be named: less is of no use."""
+
+NEGLIGIBLE = 0.005
+"""Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """An accepted effect and those it cannot be told from.
+
+    effect: the effect
+    trial: it and everything accepted before, when it was accepted
+    rivals: other effects that explain the same there
+    """
+
+    effect: Effect
+    trial: Trial
+    rivals: tuple[Trial, ...]
+
+
+@dataclass(eq=False)
+class Selection:
+    """Adds effects to a base fit as long as recordings that no fit saw ask for them.
+
+    model, space, nthread: of the simulator
+    court: refits and judges
+    yardstick: measures the gap
+    candidates: effects with the values to screen
+    report: called with what is being done
+    """
+
+    model: mujoco.MjModel
+    space: ParameterSpace | None
+    nthread: int
+    court: Court
+    yardstick: Yardstick
+    candidates: Sequence[tuple[Effect, Array]]
+    report: Callable[[str], None] = lambda what: None
+    ranking: list[Trial] = field(default_factory=list)
+    steps: int = 0
+
+    def run(self, base: Trial) -> tuple[Trial, list[Accepted]]:
+        """Select; returns the final trial and the accepted effects in the order of their acceptance."""
+        current, accepted = base, list[Accepted]()
+        first_gap = float(self.yardstick.gap(base.held).mean())
+        while len(accepted) < MOST_EFFECTS:
+            self.report(f"screening for effect {len(accepted) + 1}")
+            trials, screened = self._round(current, [a.effect for a in accepted])
+            if not self.ranking:
+                self.ranking = trials
+            found = self._accept(current, trials, screened, first_gap)
+            if found is None:
+                break
+            current, new = found
+            accepted.append(new)
+            if len(accepted) > 1:
+                current, accepted = self._second_look(base, current, accepted, first_gap)
+        return current, accepted
+
+    def without(self, trial: Trial, index: int) -> Trial:
+        """The trial without one of its effects, refitted."""
+        replay = trial.fit.replay
+        effects = [e for i, e in enumerate(replay.effects) if i != index]
+        keep = np.delete(np.arange(replay.nfree), replay.columns(index))
+        smaller = self._replay(effects)
+        fit = self.court.fitter.start(smaller, trial.fit.xi[keep][None], trial.fit.scatter)
+        settled = self.court.settle(fit)
+        self._count(smaller)
+        return self.court.judge(None, settled)
+
+    def _round(self, current: Trial, taken: Sequence[Effect]) -> tuple[list[Trial], list[Screened]]:
+        base = self.court.fitter.linearise(current.fit)
+        keys = {key(e) for e in taken}
+        open_ones = [(e, values) for e, values in self.candidates if key(e) not in keys]
+        replays = []
+
+        def replay_with(effect: Effect) -> Replay:
+            replays.append(self._replay([*current.fit.replay.effects, effect]))
+            return replays[-1]
+
+        screened = screen(self.court.fitter, base, open_ones, replay_with)
+        self.report(f"refitting with effect {len(taken) + 1}")
+        trials = self.court.refit(base, screened)
+        for replay in replays:
+            self._count(replay)
+        return trials, screened
+
+    def _accept(
+        self, current: Trial, trials: Sequence[Trial], screened: Sequence[Screened], first_gap: float
+    ) -> tuple[Trial, Accepted] | None:
+        """The candidate that the held-out recordings ask for, if they ask for one."""
+        best = trials[0] if trials else None
+        if best is None:
+            return None
+        gain, _, p = self.court.gain(best, current)
+        if p > LEVEL / len(self.candidates):
+            return None
+        block = self.court.recordings.block
+        equal = []
+        for trial in trials:
+            behind, _, apart = block_test(best.density - trial.density, block)
+            if apart > APART or behind < NEGLIGIBLE * gain:
+                equal.append(trial)
+        chosen = min(equal, key=lambda t: (len(_parameters(t)), -t.density.mean()))
+        removed = float(self.yardstick.gap(current.held).mean() - self.yardstick.gap(chosen.held).mean())
+        if chosen.effect is None or removed < WORTH * first_gap:
+            return None
+        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen))
+
+    def _second_look(
+        self, base: Trial, current: Trial, accepted: list[Accepted], first_gap: float
+    ) -> tuple[Trial, list[Accepted]]:
+        """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
+        for index in range(len(accepted) - 1):
+            self.report(f"second look at effect {index + 1}")
+            smaller = self.without(current, index)
+            others = [a.effect for i, a in enumerate(accepted) if i != index]
+            trials, screened = self._round(smaller, others)
+            found = self._accept(smaller, trials, screened, first_gap)
+            if found is None:
+                return smaller, [a for i, a in enumerate(accepted) if i != index]
+            replaced, new = found
+            if key(new.effect) != key(accepted[index].effect):
+                better = block_test(replaced.density - current.density, self.court.recordings.block)
+                if better[2] > APART:
+                    continue
+            # the replacement stands last among the effects now: keep both lists in one order
+            accepted = [a for i, a in enumerate(accepted) if i != index] + [new]
+            current = replaced
+        return current, accepted
+
+    def _replay(self, effects: Sequence[Effect]) -> Replay:
+        return Replay(self.model, self.space, effects, self.nthread)
+
+    def _count(self, replay: Replay) -> None:
+        self.steps += replay.sim.simulated_steps
+        replay.sim.simulated_steps = 0
+
+
+def key(effect: Effect) -> tuple[str, str]:
+    """Name and target."""
+    target = effect.target
+    return effect.name, "" if target is None else str(target)
+
+
+def _parameters(trial: Trial) -> Sequence[object]:
+    return trial.effect.parameters if trial.effect is not None else ()

@@ -1,0 +1,99 @@
+"""Trying candidates: joint refits, and what they are worth on recordings that no fit saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from nfpde.effects import Effect
+from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.noise import Scatter, learn_scatter
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.screen import Screened
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.02
+"""Probability of accepting any effect at all where there is none: shared by all candidates that were tried."""
+
+APART = 0.025
+"""One-sided probability at which two effects count as told apart."""
+
+SHARE = 0.25
+"""Candidates that could explain less than this share of what the best could are not refitted."""
+
+FIRST, SECOND = 10, 6
+"""Candidates refitted roughly, and to the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A refitted replay and its log density on the held-out windows.
+
+    effect: the candidate that was added; None for the base
+    fit: base parameters, accepted effects and the candidate together
+    density: log density of the held-out windows (held,)
+    held: residuals of the held-out windows (held, nv, C)
+    """
+
+    effect: Effect | None
+    fit: Fit
+    density: Array
+    held: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Court:
+    """Refits on one half of the recordings and judges on the other."""
+
+    recordings: Recordings
+    fitter: Fitter
+    floor: Array
+
+    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4) -> Fit:
+        """Fit, learn the scatter from what is left, and again, until both agree."""
+        for _ in range(rounds):
+            fit = self.fitter.rescale(fit, self.scatter(fit))
+            fit = self.fitter.improve(fit, iterations)
+        return self.fitter.rescale(fit, self.scatter(fit))
+
+    def scatter(self, fit: Fit) -> Scatter:
+        """The scatter of what a fit leaves over."""
+        return learn_scatter(fit.residuals, fit.replay.nfree, self.floor)
+
+    def judge(self, effect: Effect | None, fit: Fit) -> Trial:
+        """Residuals and log density on the held-out windows."""
+        held = fit.replay.residuals(fit.xi[None], self.recordings.held, self.recordings.horizons)[0]
+        return Trial(effect, fit, fit.scatter.log_density(held), held)
+
+    def refit(self, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
+        """Refit the candidates that screening likes best; most held-out density first."""
+        if not screened:
+            return []
+        hopeful = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
+        rough = []
+        for s in hopeful:
+            guesses = np.hstack([np.broadcast_to(base.xi, (len(s.guesses), len(base.xi))), s.guesses])
+            fit = self.fitter.improve(self.fitter.start(s.replay, guesses, base.scatter), 2)
+            rough.append((s, self.fitter.rescale(fit, self.scatter(fit))))
+        rough.sort(key=lambda pair: pair[1].cost)
+        trials = [self.judge(s.effect, self.settle(fit)) for s, fit in rough[:SECOND]]
+        return sorted(trials, key=lambda trial: -trial.density.mean())
+
+    def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
+        """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
+        return block_test(better.density - base.density, self.recordings.block)
+
+
+def block_test(gain: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:
+    """Mean of window values (N,), its standard error over blocks, and the one-sided p-value of its being positive."""
+    means = np.array([gain[block == b].mean() for b in np.unique(block)])
+    mean = float(means.mean())
+    error = float(means.std(ddof=1) / np.sqrt(len(means))) if len(means) > 1 else float("inf")
+    if error == 0.0:
+        return mean, error, 0.0 if mean > 0 else 1.0
+    return mean, error, float(student.sf(mean / error, len(means) - 1))

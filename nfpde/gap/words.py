@@ -1,0 +1,58 @@
+"""The diagnosis in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nfpde.gap.report import Cause, Fitted, Level, Place, ResidualForce, Verdict
+
+
+def summary(
+    verdict: Verdict,
+    gap: Level,
+    effects: Sequence[Cause],
+    where: Sequence[Place],
+    base: dict[str, Fitted],
+    force: ResidualForce | None,
+) -> list[str]:
+    """Sentences that a roboticist can act on."""
+    lines = [_first(verdict, gap)]
+    if verdict != "no_gap" and where and where[0].share > 0:
+        top = where[0]
+        lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, most of it in the regime: {top.regime}.")
+    if base and gap.after_parameters < 0.98 * gap.before:
+        lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
+    lines += [_cause(c) for c in effects]
+    lines += [
+        f"{name} leans on the end of its bounds ({value.value:.4g} {value.unit}): widen them, or doubt the model there."
+        for name, value in base.items()
+        if value.at_bound
+    ]
+    if verdict == "unexplained" and force is not None:
+        lines.append(
+            f"None of the known effects explains what is left. A free force on {force.joint} of position, speed, "
+            f"command and time would take away {max(force.share, 0):.0%} of it: look at its picture for the cause."
+        )
+    return lines
+
+
+def _first(verdict: Verdict, gap: Level) -> str:
+    if verdict == "no_gap":
+        return "The model predicts the recordings as well as their noise allows: there is no gap to explain."
+    left = gap.after_effects
+    floor = f"; sensor noise alone gives {gap.noise_floor:.2%}" if gap.noise_floor > 0 else ""
+    if verdict == "effects":
+        return f"The gap is explained: {left:.2%} of it is left{floor}."
+    return f"The gap is not explained by any known effect: {left:.1%} of it is left{floor}."
+
+
+def _cause(c: Cause) -> str:
+    values = ", ".join(
+        f"{name} {v.value:.4g} {v.unit} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
+    )
+    place = f" at {c.target}" if c.target else ""
+    text = f"{c.effect}{place}: {values}; it accounts for {c.shrink:.1%} of the gap. {c.sentence}"
+    if c.indistinguishable:
+        others = ", ".join(f"{r.effect}{' at ' + r.target if r.target else ''}" for r in c.indistinguishable)
+        text += f" These recordings cannot tell it from {others}. {c.separating_experiment}"
+    return text
