@@ -35,3 +35,28 @@ def fit(quick: Quick = False, out: Out = Path("docs/results")) -> None:
     from nfpde.bench import fit as bench
 
     bench.run(quick, out)
+
+
+@app.command("estimation")
+def estimation(
+    robots: Annotated[str | None, typer.Option(help="with commas; all four, for the calibration two")] = None,
+    targets: Annotated[str, typer.Option(help="populations, with commas")] = "gaussian,mixture",
+    noise: Annotated[str, typer.Option(help="of the sensors, shares of each channel's deviation")] = "0,0.001,0.01",
+    seeds: Annotated[str, typer.Option(help="with commas")] = "0,1,2",
+    calibration: Annotated[bool, typer.Option(help="coverage of posteriors of random robots instead")] = False,
+    problems: Annotated[int, typer.Option(help="random robots of the calibration, of each kind")] = 100,
+    quick: Annotated[bool, typer.Option(help="one tiny cell, or a few tiny problems")] = False,
+    budget_minutes: Annotated[float | None, typer.Option(help="begin no further fit after so long")] = None,
+    out: Out = Path("docs/results"),
+) -> None:
+    """Whole trajectories beside softmax, cell by cell; goes on where it stopped."""
+    from nfpde.bench import estimation as bench
+
+    bench.command(
+        {"robots": robots, "targets": targets, "noises": noise, "seeds": seeds},
+        out,
+        calibration=calibration,
+        problems=problems,
+        quick=quick,
+        budget_minutes=budget_minutes,
+    )

@@ -1,0 +1,57 @@
+"""Sensor noise on recordings: every measured state is off by a share of what its channel moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset, Episode
+from nfpde.sim import StateSpace
+
+Array = NDArray[np.float64]
+
+
+def with_noise(model: mujoco.MjModel, dataset: Dataset, share: float, seed: int) -> tuple[Dataset, Array]:
+    """The recordings with white Gaussian noise on every measured state.
+
+    A state is both the end of one transition and the start of the next, so that neither is exact. Rotations of free
+    and ball joints are turned by a small rotation vector and stay unit quaternions.
+
+    Args:
+        model: of the robot.
+        dataset: recordings without noise.
+        share: standard deviation of the noise, in standard deviations of each channel over all recordings; 0 for none.
+        seed: of the noise.
+
+    Returns:
+        The noisy recordings, and the standard deviation of the noise of every channel of a state difference,
+        (2 nv,), positions first.
+    """
+    sigma = share * channel_spread(StateSpace.of_model(model), dataset)
+    if share == 0:
+        return dataset, sigma
+    rng = np.random.default_rng([seed, 1])  # not the stream that the recordings were made with
+    episodes = []
+    for e in dataset:
+        noise = sigma * rng.standard_normal((len(e), 2 * model.nv))
+        qpos, qvel = move(model, e.qpos, e.qvel, noise)
+        episodes.append(Episode(e.name, e.time, qpos, qvel, e.ctrl, e.robot))
+    return replace(dataset, episodes=episodes), sigma
+
+
+def channel_spread(states: StateSpace, dataset: Dataset) -> Array:
+    """Standard deviation of every channel over all rows of all recordings, (ndiff,)."""
+    rows = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in dataset])
+    # the difference normalises the mean of the quaternions
+    return states.difference(rows, rows.mean(0)).std(0)
+
+
+def move(model: mujoco.MjModel, qpos: Array, qvel: Array, step: Array) -> tuple[Array, Array]:
+    """States moved in their tangent space: qpos (n, nq), qvel (n, nv) by step (n, 2 nv)."""
+    moved = qpos.copy()
+    for row, change in zip(moved, np.ascontiguousarray(step[:, : model.nv]), strict=True):
+        mujoco.mj_integratePos(model, row, change, 1.0)
+    return moved, qvel + step[:, model.nv :]
