@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from nfpde.cli import bench, collect, evaluate, fit, train
+from nfpde.cli import bench, collect, diagnose, evaluate, fit, train
 from nfpde.errors import NfpdeError
 
 
@@ -38,6 +38,7 @@ app = typer.Typer(
 app.command("collect")(stoppable(collect.command))
 app.command("fit")(stoppable(fit.command))
 app.command("evaluate")(stoppable(evaluate.command))
+app.command("diagnose")(stoppable(diagnose.command))
 app.command("train")(stoppable(train.command))
 app.add_typer(bench.app, name="bench")
 

@@ -21,15 +21,26 @@ def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
         NfpdeError: whatever is wrong with the model or the parameters.
     """
     known = BENCHMARKS.get(model)
-    if known is None and not Path(model).is_file():
-        raise BadInput(f"{model!r} is neither a file nor a benchmark robot ({', '.join(BENCHMARKS)})")
+    path = model_file(model)
     if params is None and known is None:
         raise BadInput(
             f"say with --params which parameters of {model} are unknown: a TOML file of [[parameter]] tables with "
             "field, target, low and high"
         )
     space = known.space if known is not None and params is None else ParameterSpace.from_toml(params or "")
-    return MujocoSimulator(model if known is None else known.path, space)
+    return MujocoSimulator(path, space)
+
+
+def model_file(model: str) -> Path:
+    """The file of a model: a path, or a benchmark robot's name.
+
+    Raises:
+        BadInput: neither.
+    """
+    known = BENCHMARKS.get(model)
+    if known is None and not Path(model).is_file():
+        raise BadInput(f"{model!r} is neither a file nor a benchmark robot ({', '.join(BENCHMARKS)})")
+    return Path(model) if known is None else known.path
 
 
 def read_dataset(path: Path, resample: float | None) -> Dataset:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
+from nfpde.gap.checks import check_fit
 from nfpde.gap.fit import Fitter
 from nfpde.gap.levels import Yardstick, noise_variance, sensor_noise
 from nfpde.gap.noise import floor_of, learn_scatter
@@ -65,6 +66,7 @@ def diagnose_gap(
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
     recordings = cut_recordings(dataset, _history(candidates, dataset.control_dt), seed, windows)
+    check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
     nominal, base, court = _base_fit(start, recordings)
     report("noise of the sensors")
@@ -85,12 +87,16 @@ def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> i
     return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2 if times and times[0] > 0 else 0
 
 
+def _nominal(start: Replay) -> Array:
+    """The model's own parameters, brought inside their bounds; the middle of the bounds where elements differ."""
+    own, middle = start.sim.nominal()[: start.nfree], 0.5 * (start.low + start.high)
+    return np.clip(np.where(np.isnan(own), middle, own), start.low, start.high)
+
+
 def _base_fit(start: Replay, recordings: Recordings) -> tuple[Array, Trial, Court]:
     """Held-out residuals of the nominal model, the fit of the parameters alone, and the court that judges effects."""
     fitter = Fitter(recordings.fit, recordings.horizons)
-    own = np.nan_to_num(start.sim.nominal()[: start.nfree], nan=0.0)
-    inside = np.clip(np.where(own == 0.0, 0.5 * (start.low + start.high), own), start.low, start.high)
-    guesses = np.stack([inside, 0.5 * (start.low + start.high)])
+    guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
     steps = np.array(recordings.horizons) - 1
     moved = start.sim.states.difference(recordings.fit.target[:, steps], recordings.fit.state[:, :1])
     moved = start.by_dof(moved)

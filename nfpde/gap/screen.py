@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 from scipy.optimize import lsq_linear
 
 from nfpde.effects import Effect
@@ -84,8 +83,8 @@ def _span(base: Fit, root: Array) -> Array:
     columns = columns[:, norms > 1e-9 * norms.max(initial=1e-300)]
     if not columns.shape[1]:
         return columns
-    q, r, _ = qr(columns / np.linalg.norm(columns, axis=0), mode="economic", pivoting=True)
-    return q[:, np.abs(np.diag(r)) > 1e-7]
+    left, size, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return left[:, size > 1e-7]
 
 
 def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, changes: Array) -> Screened:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -56,8 +57,8 @@ def _proposals(model: mujoco.MjModel, windows: Windows, steps: int) -> list[tupl
     span = np.where(span > 0, span, 1.0)
     low, high = model.actuator_ctrlrange.T
     limited = model.actuator_ctrllimited.astype(bool)
-    time = np.arange(steps)[:, None] * windows.control_dt
-    shapes: list[tuple[str, Callable[[Array], Array]]] = [
+    time = np.arange(float(steps))[:, None] * windows.control_dt
+    shapes: list[tuple[str, Callable[[Array], NDArray[Any]]]] = [
         ("Hold the commands still", lambda t: 0.0 * t),
         ("Ramp the commands slowly, up and down once", lambda t: 1 - np.abs(2 * t / (t[-1] + 1e-12) - 1)),
         ("Step the commands to their recorded extreme", lambda t: np.where(t > 0.2 * t[-1], 1.0, 0.0)),

@@ -1,0 +1,62 @@
+"""`nfpde diagnose`: where the gap lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from nfpde.cli.models import MODEL_HELP, model_file, read_dataset
+from nfpde.gap import diagnose_gap, write_report
+from nfpde.gap.recordings import MOST_WINDOWS
+from nfpde.parameters import ParameterSpace
+
+
+@contextmanager
+def _telling(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Shows what is being done: a spinner on a terminal, a line each elsewhere."""
+    console = Console(stderr=True, quiet=quiet)
+    if not console.is_terminal:
+        yield lambda what: console.print(what, markup=False)
+        return
+    with console.status("reading") as status:
+        yield lambda what: status.update(escape(what))
+
+
+def command(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help=f"the nominal model: {MODEL_HELP}")],
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="recordings of one robot: .npz, .csv, .parquet, or a folder")
+    ],
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json and report.html")],
+    params: Annotated[
+        Path | None, typer.Option(help="parameters.toml: what may vary, within which bounds; without it nothing may")
+    ] = None,
+    resample: Annotated[
+        float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
+    ] = None,
+    windows: Annotated[
+        int, typer.Option(min=40, help="windows used of each half: more are slower and surer")
+    ] = MOST_WINDOWS,
+    seed: Annotated[int, typer.Option(help="decides which episodes are held out")] = 0,
+    quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
+) -> None:
+    """Diagnose the gap between a model and recordings: where it lies, which effects cause it, how far it shrinks.
+
+    Writes diagnosis.json, report.html (opens offline) and summary.png.
+    """
+    space = None if params is None else ParameterSpace.from_toml(params)
+    dataset = read_dataset(data, resample)
+    with _telling(quiet) as tell:
+        found = diagnose_gap(model_file(model), dataset, space, seed=seed, windows=windows, report=tell)
+    path = found.save(out)
+    page = write_report(found, out)
+    for line in found.summary:
+        typer.echo(line)
+    typer.echo(f"{path}: the answer, for machines")
+    typer.echo(f"{page}: the answer, with pictures")
