@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from nfpde.bench.estimation.bound import information_bound
@@ -76,6 +77,8 @@ def measure(cell: Cell, settings: Settings, stage: Stage) -> dict[str, Any]:
     clean, truth = collect(body, cell.target, episodes=settings.episodes, steps=settings.steps, seed=cell.seed)
     dataset, sigma = with_noise(body.model, clean, cell.noise, cell.seed)
     simulator = MujocoSimulator(body.path, body.space)
+    # the first optimiser of a process loads torch's compiler: seconds that are no fit's
+    torch.optim.Adam([torch.zeros(1)])
     work = _Work(cell, settings, simulator, dataset, truth)
     first = stage("softmax, own beta", lambda: work.softmax(None))
     fits = [first]

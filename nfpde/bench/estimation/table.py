@@ -50,8 +50,8 @@ def line(cell: dict[str, Any]) -> str:
             over,
             f"{found['over_std']:.2f}",
             *(f"{far[k]:.3g}" for k in ("softmax", "trajectory", "population")),
-            f"{first['million_steps']:.2f}",
-            f"{own['million_steps']:.2f}",
+            f"{first['million_steps']:.3g}",
+            f"{own['million_steps']:.3g}",
             f"{first['cpu_seconds']:.0f}",
             f"{own['cpu_seconds']:.0f}",
             f"{seconds(cell, own):.1f}" + (f" ({paper:g})" if paper else ""),
@@ -95,9 +95,10 @@ def _explanation() -> list[str]:
         "",
         "`softmax`: the best of a fit that finds its own beta and of fits with fixed betas around that one, as its "
         "user would choose: by the marginal likelihood of the recordings (Eq. 5). `oracle`: the one closest to the "
-        "truth, which no user can know. Steps and seconds are of one softmax fit, not of the search. `trajectory`: the "
-        "equal mixture of the robots' posteriors; its smoothed population is what `fresh` measures, the distance to "
-        "fresh draws of the true population, beside what fresh draws of the truth themselves get.",
+        "truth, which no user can know. The budget of each is that of `nfpde bench fit`; steps and seconds are of one "
+        "fit, not of the search. `trajectory`: the equal mixture of the robots' posteriors; its smoothed population is "
+        "what `fresh` measures, the distance to fresh draws of the true population, beside what fresh draws of the "
+        "truth themselves get.",
         "",
         "`error / bound`: root-mean-square error of the robots' best values in Cramer-Rao bounds (at the true "
         "parameters and with the true noise, prior included), every transition taken as measured anew. `whole`: in the "

@@ -17,7 +17,7 @@ from nfpde.sim import MujocoSimulator
 
 Array = NDArray[np.float64]
 
-FACTORS = (0.1, 1.0, 10.0)
+FACTORS = (0.1, 10.0)
 """Fixed temperatures tried, in units of the last one of a run that found its own."""
 
 VECTORS, WINDOWS = 1000, 256

@@ -97,7 +97,7 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
         text = f"OT {near['trajectory']:.3g}, {near['ratio']:.2g} of softmax's, at most {limit:g} wanted"
         verdicts.append(_verdict("ratio", near["ratio"] <= limit, text, why))
         fewer = trajectory["million_steps"] < first["million_steps"]
-        text = f"{trajectory['million_steps']:.2f} million steps, one softmax fit {first['million_steps']:.2f}"
+        text = f"{trajectory['million_steps']:.3g} million steps, one softmax fit {first['million_steps']:.3g}"
         verdicts.append(_verdict("steps", fewer, text, [f"{trajectory['rounds']} rounds"]))
     else:
         text = f"OT {near['trajectory']:.3g}, softmax {near['softmax']:.3g}"

@@ -1,0 +1,381 @@
+"""The benchmark of the estimators: noise, bounds, choice of temperature, calibration, going on, and what it says."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from scipy.stats import binom, norm
+
+from nfpde.bench import estimation
+from nfpde.bench.estimation import bound, calibration, cell, grid, ranks, sensing, stages, table, temperature, verdicts
+from nfpde.bench.estimation.command import split
+from nfpde.benchmarks import collect, record, robot
+from nfpde.errors import BadInput
+from nfpde.estimation import NfpdeConfig, TrajectoryConfig
+from nfpde.sim import MujocoSimulator, StateSpace
+
+torch.set_num_threads(1)
+
+PENDULUM, HUMANOID = robot("pendulum"), robot("humanoid")
+
+
+@pytest.fixture(scope="module")
+def swings():
+    return collect(PENDULUM, "gaussian", episodes=3, steps=60, seed=3)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return MujocoSimulator(PENDULUM.path, PENDULUM.space)
+
+
+def test_recordings_of_given_robots():
+    """Episodes with one label have one robot, and move as its parameters say."""
+    xi = PENDULUM.space.uniform(2, np.random.default_rng(0)).repeat(2, 0)
+    data = record(PENDULUM, xi, steps=20, rng=np.random.default_rng(1), labels=["a", "a", "b", "b"])
+    assert data.robots == ["a", "b"]
+    simulator = MujocoSimulator(PENDULUM.path, PENDULUM.space)
+    windows = data.transitions()
+    losses = simulator.losses(xi, windows, np.ones(2))
+    own = losses[windows.episode, np.arange(len(windows))]
+    assert own.max() < 1e-20  # the recording without the warm start
+    assert losses[3, windows.episode < 2].mean() > 1e-8
+    with pytest.raises(BadInput, match=r"1 labels for 4 parameter vectors; give one for each"):
+        record(PENDULUM, xi, steps=2, rng=np.random.default_rng(0), labels=["a"])
+
+
+@pytest.mark.parametrize("body", [PENDULUM, HUMANOID], ids=["hinge", "free joint"])
+def test_noise_is_a_share_of_what_channels_move(body):
+    """White, of the wanted size on every channel, and a rotation stays a rotation."""
+    clean, _ = collect(body, "gaussian", episodes=10, steps=150, seed=0)
+    noisy, sigma = sensing.with_noise(body.model, clean, 0.02, seed=5)
+    states = StateSpace.of_model(body.model)
+    a, b = (np.concatenate([np.hstack([e.qpos, e.qvel]) for e in d]) for d in (clean, noisy))
+    added = states.difference(b, a) / sigma
+    n = len(added)
+    # the standard deviation of n draws is known to 1 / sqrt(2 n); five of those over all channels
+    np.testing.assert_allclose(added.std(0), 1.0, atol=5 / np.sqrt(2 * n))
+    # correlation of neighbouring rows: 1 / sqrt(n) each
+    assert np.abs((added[1:] * added[:-1]).mean(0)).max() < 5 / np.sqrt(n)
+    plain = [i for i, name in enumerate(states.channels) if name.startswith("qvel")]
+    np.testing.assert_allclose(sigma[plain], 0.02 * a[:, states.nq :].std(0), rtol=1e-12)
+    for column, _ in states.quaternions:
+        np.testing.assert_allclose(np.linalg.norm(b[:, column : column + 4], axis=1), 1.0, rtol=1e-12)
+
+
+def test_no_noise_leaves_the_recordings_alone(swings):
+    """A share of zero gives back the data set itself."""
+    noisy, sigma = sensing.with_noise(PENDULUM.model, swings[0], 0.0, seed=0)
+    assert noisy is swings[0]
+    assert not sigma.any()
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_information_is_generalised_least_squares(joint):
+    """The elimination equals the dense formula with the covariance of e' - F e over a whole episode."""
+    rng = np.random.default_rng(0)
+    steps, channels, parameters = 6, 3, 2
+    f, j = rng.normal(size=(steps, channels, channels)), rng.normal(size=(steps, channels, parameters))
+    sigma = np.array([0.1, 1.0, 3.0])
+    mixing = np.zeros((steps * channels, (steps + 1) * channels))
+    for t in range(steps):
+        rows = slice(t * channels, (t + 1) * channels)
+        mixing[rows, rows] = -f[t]
+        mixing[rows, (t + 1) * channels : (t + 2) * channels] = np.eye(channels)
+    covariance = mixing @ np.kron(np.eye(steps + 1), np.diag(sigma**2)) @ mixing.T
+    if not joint:
+        covariance = covariance * np.kron(np.eye(steps), np.ones((channels, channels)))
+    design = j.reshape(-1, parameters)
+    expected = design.T @ np.linalg.solve(covariance, design)
+    np.testing.assert_allclose(bound.information(j, f, sigma, joint=joint), expected, rtol=1e-9)
+
+
+def test_derivatives_of_the_motion(swings, pendulum):
+    """By the state: MuJoCo's own derivatives, chained over the physics steps. By parameters: a finite step."""
+    data, truth = swings
+    windows = data.transitions()[np.arange(0, 180, 20)]
+    by_state = bound.state_slopes(pendulum, windows, truth.xi, np.ones(2))
+    model = pendulum.model
+    state = mujoco.MjData(model)
+    for n, found in enumerate(by_state):
+        fields = pendulum.writer.rows(truth.xi[windows.episode[n]][None])
+        for name, values in fields.items():
+            getattr(model, name)[:] = values[0].reshape(getattr(model, name).shape)
+        mujoco.mj_resetData(model, state)
+        state.qpos[:], state.qvel[:], state.ctrl[:] = windows.start[n, :1], windows.start[n, 1:], windows.ctrl[n, 0]
+        expected = np.eye(2)
+        for _ in range(pendulum.substeps(data.control_dt)):
+            a = np.zeros((2, 2))
+            mujoco.mjd_transitionFD(model, state, 1e-6, True, a, None, None, None)
+            expected = a @ expected
+            mujoco.mj_step(model, state)
+        # one-sided differences of size 1e-4 of a curved motion
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+    by_parameter = bound.parameter_slopes(pendulum, windows, truth.xi)
+    step = 0.01 * PENDULUM.space.width
+    moved = pendulum.rollout(truth.xi + step, windows, windows.episode, np.arange(len(windows)))[:, 0]
+    there = pendulum.rollout(truth.xi, windows, windows.episode, np.arange(len(windows)))[:, 0]
+    # a step of a hundredth of the box bends by some hundredths
+    np.testing.assert_allclose(0.01 * by_parameter.sum(2), moved - there, rtol=0.05, atol=1e-6)
+
+
+def test_bounds_of_a_pendulum(swings, pendulum):
+    """Whole episodes tell more than their transitions alone, less noise tells more, and never less than the prior."""
+    data, truth = swings
+    small, large = (bound.information_bound(pendulum, data, truth, s * np.array([0.1, 0.5])) for s in (0.001, 0.1))
+    one_step, whole = [], []
+    for found in (small, large):
+        assert found.one_step is not None
+        assert found.whole is not None
+        one_step.append(found.one_step)
+        whole.append(found.whole)
+        assert (found.whole <= found.one_step * (1 + 1e-9)).all()
+        assert (found.one_step <= 1 / np.sqrt(12) + 1e-12).all()
+    assert (one_step[0] < one_step[1]).all()
+    assert (whole[0] < whole[1]).all()
+    none = bound.information_bound(pendulum, data, truth, np.zeros(2))
+    assert none.one_step is None
+    np.testing.assert_array_equal(none.sensitivity, small.sensitivity)
+
+
+def test_marginal_likelihood_of_one_vector():
+    """With one parameter vector it is that of a Gaussian at its maximum-likelihood variance."""
+    losses, channels = np.random.default_rng(0).exponential(size=(1, 50)), 4
+    variance = losses.mean() / channels
+    expected = -0.5 * channels * (np.log(2 * np.pi * variance) + 1)
+    # the search stops within 1e-5 of the best log beta, where the curve is flat
+    assert temperature.marginal_likelihood(losses, channels) == pytest.approx(expected, abs=1e-6)
+
+
+def test_marginal_likelihood_prefers_what_explains_the_data():
+    """Of two clouds of parameter vectors the one around the truth scores higher, whatever the units of the losses."""
+    rng = np.random.default_rng(1)
+    data = rng.normal(size=(3, 40))
+    close, far = (((data[:, None] - (shift + rng.normal(size=(3, 200)))[:, :, None]) ** 2).sum(0) for shift in (0, 3))
+    scores = [temperature.marginal_likelihood(losses, 3) for losses in (close, far)]
+    assert scores[0] > scores[1]
+    scaled = temperature.marginal_likelihood(100 * close, 3)
+    assert scaled == pytest.approx(scores[0] - 1.5 * np.log(100), abs=1e-4)
+
+
+def test_ranks_of_exact_posteriors_are_calibrated():
+    """A conjugate Gaussian covers as it should, half its width does not; the error of the pooled figure is right."""
+    rng = np.random.default_rng(0)
+    problems, samples = 400, 199
+    true = rng.normal(size=(problems, 2))
+    data = true + rng.normal(size=true.shape)
+    found = {}
+    for width in (1.0, 0.5):
+        draws = data[:, None] / 2 + width * np.sqrt(0.5) * rng.normal(size=(problems, samples, 2))
+        found[width] = np.array([ranks.rank_of(t, d) for t, d in zip(true, draws, strict=True)])
+    for share in (0.5, 0.9):
+        good = ranks.coverage(found[1.0], samples, share)
+        # four standard errors
+        assert abs(good["pooled"] - share) < 4 * np.sqrt(share * (1 - share) / (2 * problems))
+        narrow = 2 * norm.cdf(0.5 * norm.ppf(0.5 + share / 2)) - 1
+        assert abs(ranks.coverage(found[0.5], samples, share)["pooled"] - narrow) < 0.08
+        assert good["error"] == pytest.approx(binom.std(problems, share) / problems)
+        # the two parameters are independent here: half the variance of one
+        assert good["pooled_error"] == pytest.approx(good["error"] / np.sqrt(2), rel=0.25)
+
+
+def test_rank_histogram_counts_every_rank_once(tmp_path):
+    """All ranks there are, once each: flat bins, and exact coverage."""
+    samples = 99
+    all_ranks = np.arange(samples + 1)[:, None]
+    assert ranks.histogram(all_ranks, samples) == [[10] * 10]
+    assert ranks.coverage(all_ranks, samples, 0.5)["pooled"] == 0.5
+    assert ranks.coverage(all_ranks, samples, 0.9)["pooled"] == 0.9
+    assert ranks.draw_ranks(all_ranks, samples, ["mass"], "all", tmp_path / "ranks.png").stat().st_size > 1000
+
+
+def test_stages_go_on_where_they_stopped(tmp_path):
+    """A finished stage is not computed again, a changed cell is; the file is there when all is done, and only then."""
+    computed = []
+
+    def compute(name):
+        computed.append(name)
+        return {"of": name}
+
+    def open_stages(facts, minutes=None):
+        return stages.Stages(tmp_path, "cell", facts, stages.Budget.of(minutes))
+
+    first = open_stages({"seed": 0})
+    first("a", lambda: compute("a"))
+    assert not first.path.is_file()
+    again = open_stages({"seed": 0})
+    assert again("a", lambda: compute("again")) == {"of": "a"}
+    over = open_stages({"seed": 0}, minutes=1e-9)
+    assert over("a", lambda: compute("again")) == {"of": "a"}
+    with pytest.raises(stages.OutOfTime):
+        over("b", lambda: compute("late"))
+    other = open_stages({"seed": 1})
+    other("a", lambda: compute("other"))
+    assert computed == ["a", "other"]
+    assert other.finish({"result": 1})["result"] == 1
+    assert open_stages({"seed": 1}).finished() is not None
+    assert open_stages({"seed": 2}).finished() is None
+    assert [p.name for p in tmp_path.iterdir()] == ["cell.json"]
+    with pytest.raises(BadInput, match="budget is 0 minutes; give a positive number"):
+        stages.Budget.of(0)
+
+
+def test_provenance_names_the_commit():
+    """Commit and versions; outside of a checkout the commit is null."""
+    found = stages.provenance()
+    assert found["commit"] is None or len(found["commit"]) == 40
+    assert found["versions"]["mujoco"] == mujoco.__version__
+
+
+def finished_cell(**changes):
+    """A made-up cell of two robots with two parameters, in the form that `measure` writes."""
+    distance = {"to_episodes": {"physical": 1.0, "box": 0.5}, "to_population": {"physical": 1.0, "box": 0.5}}
+    softmax_fit = {"beta": 1e-3, "automatic": True, "effective": 5.0, "score": 1.0, "million_steps": 5.0}
+    content = {
+        "cell": {"robot": "hopper", "target": "mixture", "noise": 0.0, "seed": 0},
+        "parameters": ["mass", "geom_friction:floor"],
+        "width": [1.0, 2.0],
+        "before": dict.fromkeys(("uniform", "initial", "population"), distance),
+        "softmax": {"fits": [softmax_fit | distance | {"cpu_seconds": 1.0}], "chosen": 0, "oracle": 0},
+        "trajectory": {
+            "episodes": {"to_episodes": {"physical": 0.01, "box": 0.01}, "to_population": distance["to_population"]},
+            "population": distance,
+            "million_steps": 1.0,
+            "seconds": 1.0,
+            "cpu_seconds": 2.0,
+            "rounds": 3,
+            "info": {"bandwidth": 0.5},
+            "robots": {
+                "value": [[0.5, 1.0], [0.5, 1.0]],
+                "true": [[0.5, 1.0], [0.5, 1.0]],
+                "std": [[1e-3, 1e-3], [1e-3, 1e-3]],
+                "cramer_rao": [[1e-3, None], [1e-3, 1e-3]],
+                "known": [[1.0, 0.1], [1.0, 1.0]],
+            },
+            "residuals": {"fitted": [1e-20, 1e-20], "true": [1e-20, 1e-20]},
+        },
+        "bound": {"one_step": None, "whole": None, "sensitivity": [[0.1, 0.0], [0.1, 0.1]]},
+        "steps_per_core_second": 1e5,
+        "provenance": {"commit": "a" * 40, "uncommitted": [], "versions": {}, "machine": "m"},
+        "facts": {"settings": {}},
+    }
+    return content | changes
+
+
+def failed(content):
+    return {v.name: v.text for v in verdicts.judge(content) if not v.passed}
+
+
+def test_a_cell_that_meets_everything_passes():
+    """Close to the truth, fewer steps, not farther from fresh draws, faster: 1e6 steps on two cores take 5 s."""
+    assert failed(finished_cell()) == {}
+    assert verdicts.seconds(finished_cell(), {"million_steps": 1.0}) == 5.0
+    assert "| pass |" in table.line(finished_cell())
+
+
+def test_a_failure_names_the_parameter_that_the_recordings_do_not_tell():
+    """The reason gives the parameter's share of the squared error and the episodes that hardly show it."""
+    content = finished_cell()
+    near = content["trajectory"]["episodes"]["to_episodes"]
+    content["trajectory"]["episodes"]["to_episodes"] = near | {"physical": 0.5}
+    content["trajectory"]["robots"]["value"] = [[0.5, 1.4], [0.5, 1.0]]
+    text = failed(content)["ratio"]
+    assert "OT 0.5, 0.5 of softmax's, at most 0.05 wanted" in text
+    assert "100% of the squared error is geom_friction:floor's, which 1 of 2 episodes hardly tell" in text
+    assert "local minimum" not in text
+    page = table.table([content], "command")
+    assert "FAIL: ratio" in page
+    assert "## Floor friction" in page
+    assert "| 0 0.1 | none 0.0005 | 10% 100% | 0.2 0 |" in page
+
+
+def test_a_local_minimum_is_told_from_ignorance():
+    """A fit that explains its recording worse than the truth does sits in a local minimum."""
+    content = finished_cell(cell={"robot": "hopper", "target": "mixture", "noise": 0.01, "seed": 0})
+    content["bound"] = {"one_step": [[0.01, 0.01]] * 2, "whole": [[0.01, 0.01]] * 2, "sensitivity": [[1, 1]] * 2}
+    content["trajectory"]["robots"]["value"] = [[0.9, 1.0], [0.5, 1.0]]
+    content["trajectory"]["residuals"] = {"fitted": [0.9, 0.1], "true": [0.1, 0.1]}
+    assert verdicts.local_minima(content) == [0]
+    # the only error is 0.4 in one of four numbers, whose bounds are all 0.01
+    assert verdicts.errors(content)["over_bound"] == pytest.approx(20.0)
+    text = failed(content)["bound"]
+    assert "error 20.00 x bound" in text
+    assert "1 of 2 robots end in a local minimum" in text
+
+
+TINY = replace(
+    cell.QUICK,
+    softmax=NfpdeConfig(iterations=1, samples=20, transitions=4, transforms=2, hidden=8, gradient_steps=1),
+    trajectory=TrajectoryConfig(starts=1, steps=2, rounds=2),
+    samples=50,
+    episodes=2,
+    steps=12,
+)
+
+
+def test_the_grid_goes_on_and_grows(tmp_path, monkeypatch, capsys):
+    """Two calls make one table of two cells; a third fits nothing; out of time nothing begins."""
+    monkeypatch.setattr(grid, "Settings", lambda: TINY)
+    monkeypatch.setattr(temperature, "VECTORS", 20)
+    fitted = []
+    real = cell.fit
+    monkeypatch.setattr(cell, "fit", lambda *a, **k: fitted.append(k["method"]) or real(*a, **k))
+    few = {"robots": ["pendulum"], "targets": ["gaussian"], "seeds": [0]}
+    assert not estimation.run(tmp_path, noises=[0.0], budget_minutes=1e-9, **few)
+    assert fitted == []
+    assert "0 of 1 cells are finished: give the command again" in capsys.readouterr().out
+    assert estimation.run(tmp_path, noises=[0.0], **few)
+    assert fitted == ["softmax", "softmax", "trajectory"]
+    assert estimation.run(tmp_path, noises=[0.01], **few)
+    assert len(fitted) == 6
+    assert estimation.run(tmp_path, noises=[0.0, 0.01], **few)
+    assert len(fitted) == 6
+    page = (tmp_path / "estimation.md").read_text()
+    assert page.count("| pendulum | gaussian |") == 2
+    assert "nfpde bench estimation" in page
+    content = json.loads((tmp_path / "estimation" / "pendulum_gaussian_0.01_0.json").read_text())
+    assert content["trajectory"]["robots"]["true"]
+    assert len(content["bound"]["whole"]) == 2
+    assert content["provenance"]["commit"] == stages.provenance()["commit"]
+
+
+def test_calibration_goes_on(tmp_path, monkeypatch):
+    """Finished problems are kept; coverage, ranks and a picture are there at the end."""
+    tiny = replace(calibration.QUICK, trajectory=TINY.trajectory, steps=12, samples=19)
+    monkeypatch.setattr(calibration, "QUICK", tiny)
+    assert not estimation.calibrate(tmp_path, quick=True, budget_minutes=1e-9)
+    assert estimation.calibrate(tmp_path, quick=True)
+    content = json.loads((tmp_path / "calibration_quick" / "pendulum.json").read_text())
+    assert len(content["problems"]) == calibration.QUICK_PROBLEMS
+    assert all(0 <= r <= 19 for p in content["problems"] for r in p["rank"])
+    assert (tmp_path / "calibration_quick" / "pendulum.png").is_file()
+    monkeypatch.setattr(calibration, "problem", None)
+    assert estimation.calibrate(tmp_path, quick=True)
+    assert "| dof_damping:hinge |" in (tmp_path / "calibration_quick.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"robots": ["ant"]}, "no benchmark robot is called 'ant'"),
+        ({"targets": ["ring"]}, "no target population is called 'ring'; there are: gaussian, mixture"),
+        ({"noises": [1.5]}, "noise is 1.5; it must be a share"),
+        ({"seeds": [-1]}, "seed must be at least 0, got -1"),
+    ],
+)
+def test_what_is_no_cell_is_refused(tmp_path, wrong, text):
+    """Before anything is recorded."""
+    with pytest.raises(BadInput, match=text):
+        estimation.run(tmp_path, **wrong)
+
+
+def test_lists_of_the_command_line():
+    """Entries between commas; what is no number is named."""
+    assert split("noises", "0, 0.001,") == [0.0, 0.001]
+    with pytest.raises(BadInput, match=r"seeds: '1.5' is not an integer; give a list with commas, like 0,1"):
+        split("seeds", "0,1.5")
+    with pytest.raises(BadInput, match="robots is empty; give at least one"):
+        split("robots", ",")
