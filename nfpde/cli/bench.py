@@ -60,3 +60,24 @@ def estimation(
         quick=quick,
         budget_minutes=budget_minutes,
     )
+
+
+@app.command("gap")
+def gap(
+    seed: Annotated[int, typer.Option(min=0, help="of the systems; one on which nothing was tried before")],
+    cases: Annotated[int, typer.Option(min=1, help="number of systems")] = 300,
+    jobs: Annotated[int, typer.Option(min=1, help="systems at a time")] = 1,
+    limit: Annotated[float, typer.Option(help="wall seconds for one diagnosis; longer is a failure")] = 300.0,
+    folder: Annotated[Path | None, typer.Option(help="finished cases and keys; runs/gap-SEED by default")] = None,
+    quick: Annotated[bool, typer.Option(help="12 systems at most")] = False,
+    out: Out = Path("docs/results"),
+    draw_only: Annotated[bool, typer.Option(help="only write the systems, with keys beside: to develop on")] = False,
+) -> None:
+    """Hidden faults against `nfpde diagnose`: cause, place, value, false alarms. Go on by the same command."""
+    from nfpde.bench.gap import run as bench
+
+    if draw_only:
+        folder = folder or Path("runs") / f"gap-{seed}"
+        bench.draw_only(seed, folder / "systems", folder / "keys", cases=bench.QUICK_CASES if quick else cases)
+        return
+    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder)

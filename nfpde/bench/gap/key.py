@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 WINDOWS = 120
 """Windows over which sizes are measured."""
+
+FACTORS = ("scale", "kp_scale", "kv_scale", "ratio")
+"""Values that multiply something."""
 
 CHANGE = 0.1
 """Relative change of a true value whose trace is measured."""
@@ -53,7 +57,7 @@ def measure(
 
     `size` of a fault is the root mean square, over windows of ten steps and all channels, of what the fault changes
     over the spread of the noise, after the free constants have taken what they can; `raw_size` is before that.
-    `visible` says for each true value what a tenth of it changes, in the same unit.
+    `visible` says for each true value what a change by a tenth of its scale does, in the same unit.
     """
     base = {(f.field, f.element): f.true for f in free}
     at = sizes.windows(runs, WINDOWS, rng)
@@ -77,6 +81,7 @@ def measure(
                 "effect": fault.effect,
                 "target": fault.target,
                 "values": fault.values,
+                "scales": scales(fault.values),
                 "size": sizes.size(errors, spread, answers),
                 "raw_size": sizes.size(errors, spread),
             }
@@ -95,7 +100,16 @@ def measure(
         "noise_floor": gaps["true"] / gaps["nominal"],
         "windows": len(at.starts),
         "actuators": moved,
+        "bodies": {model.body(b).name: _carrier(model, b) for b in range(1, model.nbody)},
     }
+
+
+def _carrier(model: mujoco.MjModel, body: int) -> str:
+    """The joint that moves a body relative to what carries it."""
+    while body and not model.body_jntnum[body]:
+        body = int(model.body_parentid[body])
+    last = int(model.body_jntadr[body] + model.body_jntnum[body] - 1)
+    return model.joint(last).name if body else "world"
 
 
 def _answers(
@@ -110,17 +124,36 @@ def _answers(
         yield sizes.predict(Plant(xml, robot.control_dt, moved), at, sizes.from_clean, clean=True) - reference
 
 
-def _changes(values: Values) -> Iterator[tuple[str, Values]]:
-    """Every number of the values, changed by a tenth; of a vector, by a tenth of its length in each direction."""
+def scales(values: Values) -> dict[str, float]:
+    """What an error of each true value is measured in.
+
+    A number: its size. A factor, which would be 1 without the fault: its distance from 1. A vector, and roll with
+    pitch: its length. The rest angle of a spring: at least 0.3 rad.
+    """
+    found = {}
     for name, value in values.items():
         if isinstance(value, list):
-            step = CHANGE * float(np.linalg.norm(value))
+            found[name] = float(np.linalg.norm(value))
+        elif name in FACTORS:
+            found[name] = abs(value - 1)
+        elif name in ("roll", "pitch"):
+            found[name] = float(np.hypot(values["roll"], values["pitch"]))
+        else:
+            found[name] = max(abs(value), 0.3 if name == "rest" else 0.0)
+    return found
+
+
+def _changes(values: Values) -> Iterator[tuple[str, Values]]:
+    """Every number of the values, changed by a tenth of its scale."""
+    scale = scales(values)
+    for name, value in values.items():
+        if isinstance(value, list):
             for i in range(len(value)):
                 changed = copy.deepcopy(values)
-                changed[name][i] += step
+                changed[name][i] += CHANGE * scale[name]
                 yield f"{name}[{i}]", changed
         else:
-            yield name, {**values, name: value * (1 + CHANGE)}
+            yield name, {**values, name: value + CHANGE * scale[name]}
 
 
 def _visible(

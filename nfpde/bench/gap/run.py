@@ -1,0 +1,156 @@
+"""`nfpde bench gap`: hidden faults against the diagnosis; the table, its rows, the curve over size."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import platform
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from nfpde.bench.gap.cases import Case, finished, outcome, run_case
+from nfpde.bench.gap.curve import draw_curve
+from nfpde.bench.gap.draw import draw_system
+from nfpde.bench.gap.score import Row, judge
+from nfpde.bench.gap.store import write_key, write_public
+from nfpde.bench.gap.table import summary, table
+from nfpde.errors import BadInput
+from nfpde.progress import progress
+from nfpde.storage import write_whole
+
+DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
+
+QUICK_CASES = 12
+
+
+def run(
+    seed: int,
+    out: Path,
+    *,
+    cases: int = 300,
+    jobs: int = 1,
+    quick: bool = False,
+    limit: float = 300.0,
+    folder: Path | None = None,
+    command: Sequence[str] = DIAGNOSE,
+) -> list[Row]:
+    """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
+
+    Args:
+        seed: seed of the systems; none that anything was tried on before.
+        out: folder for the tables.
+        cases: number of systems.
+        jobs: systems at a time.
+        quick: 12 systems at most, tables named gap_quick.
+        limit: wall time for one diagnosis [s]; longer is a failure.
+        folder: where finished cases and keys are kept; None is runs/gap-SEED.
+        command: the diagnosis.
+
+    Returns:
+        One row a case.
+
+    Raises:
+        BadInput: cases or jobs below 1, a limit that is not positive, or kept cases of another command.
+    """
+    _check(cases, jobs, limit)
+    folder = folder or Path("runs") / f"gap-{seed}"
+    cases = min(cases, QUICK_CASES) if quick else cases
+    folder.mkdir(parents=True, exist_ok=True)
+    facts = _facts(seed, cases, limit, quick)
+    _check_kept(folder, {"seed": seed, "limit": limit, "command": list(command), "versions": facts["versions"]})
+    every = [Case(seed, index, folder, command, limit) for index in range(cases)]
+    _work([case for case in every if not finished(case)], cases, jobs)
+    rows = []
+    for case in every:
+        key, answer = outcome(case)
+        rows.append(judge(key, answer["status"], answer["seconds"], answer["diagnosis"]))
+    _write(rows, facts, out, "gap_quick" if quick else "gap")
+    return rows
+
+
+def draw_only(seed: int, folder: Path, keys: Path, *, cases: int, start: int = 0) -> None:
+    """Write the public files of systems to `folder` and their keys to `keys`; run no diagnosis.
+
+    Raises:
+        BadInput: cases below 1, or keys inside the folder of the public files.
+    """
+    _check(cases, 1, 1.0)
+    if folder.resolve() in (keys.resolve(), *keys.resolve().parents):
+        raise BadInput(f"the keys ({keys}) may not lie in the folder of the systems ({folder}); give another folder")
+    with progress("Drawing", cases) as report:
+        for done, index in enumerate(range(start, start + cases), 1):
+            system = draw_system(seed, index)
+            write_public(system.xml, system.free, system.robot, system.runs, folder / f"{seed}-{index:04d}")
+            write_key(system.key, keys / f"{seed}-{index:04d}.json")
+            report(done)
+
+
+def _work(left: list[Case], total: int, jobs: int) -> None:
+    done = total - len(left)
+    with progress("Diagnosing", total, start=done) as report:
+        if jobs == 1:
+            for case in left:
+                run_case(case)
+                done += 1
+                report(done)
+            return
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+            for future in as_completed([pool.submit(run_case, case) for case in left]):
+                future.result()
+                done += 1
+                report(done)
+
+
+def _check(cases: int, jobs: int, limit: float) -> None:
+    if cases < 1 or jobs < 1:
+        raise BadInput(f"cases and jobs must be at least 1, got cases={cases} and jobs={jobs}")
+    if not (limit > 0 and math.isfinite(limit)):
+        raise BadInput(f"the time limit must be a positive number of seconds, got {limit}")
+
+
+def _check_kept(folder: Path, settings: dict[str, Any]) -> None:
+    """Cases that were finished with other settings are not mixed with new ones."""
+    path, plain = folder / "settings.json", json.loads(json.dumps(settings))
+    if path.is_file():
+        old = json.loads(path.read_text(encoding="utf-8"))
+        for name, value in plain.items():
+            if old.get(name) != value:
+                raise BadInput(
+                    f"{folder} holds cases run with {name} {old.get(name)!r}, this call has {value!r}; give another "
+                    "folder, or delete that one"
+                )
+    write_whole(path, json.dumps(plain))
+
+
+def _facts(seed: int, cases: int, limit: float, quick: bool) -> dict[str, Any]:
+    return {
+        "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}" + (" --quick" if quick else ""),
+        "seed": seed,
+        "versions": {name: version(name) for name in ("nfpde", "mujoco", "numpy", "scipy")},
+        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+    }
+
+
+def _write(rows: list[Row], facts: dict[str, Any], out: Path, name: str) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    plain = [{k: _finite(v) for k, v in asdict(row).items()} for row in rows]
+    write_whole(out / f"{name}.json", json.dumps({**facts, "summary": summary(rows), "rows": plain}, indent=1))
+    text = table(rows, facts, f"{name}.png")
+    print(text)
+    write_whole(out / f"{name}.md", text)
+    draw_curve(rows, out / f"{name}.png")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    return value

@@ -1,0 +1,104 @@
+"""The benchmark from end to end, with a diagnosis that is made up."""
+
+import json
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from nfpde.bench.gap import cases as case_module
+from nfpde.bench.gap import run as bench
+from nfpde.cli import app
+from nfpde.errors import BadInput
+
+STUB = """
+import json, os, pathlib, sys
+seen = sorted(p.name for p in pathlib.Path(".").iterdir())
+out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+out.mkdir()
+answer = {"schema": 1, "verdict": "no_gap", "effects": [], "where": [], "simulated_steps": 5,
+          "gap": {"before": 1.0, "after_effects": 0.5}, "seen": seen, "args": sys.argv[1:],
+          "cwd": os.getcwd(), "environment": sorted(os.environ)}
+(out / "diagnosis.json").write_text(json.dumps(answer))
+"""
+
+
+@pytest.fixture
+def stub(tmp_path):
+    """A command that says "no gap" and what it saw."""
+    path = tmp_path / "stub.py"
+    path.write_text(STUB)
+    return [sys.executable, str(path)]
+
+
+def test_a_run_goes_from_systems_to_a_table_and_goes_on(stub, tmp_path, monkeypatch):
+    """Finished cases are kept; tables, rows and picture are there; the diagnosis saw public files only."""
+    monkeypatch.setenv("SECRET_KEY_FOLDER", "somewhere")
+    folder, out = tmp_path / "work", tmp_path / "out"
+    rows = bench.run(31, out, cases=2, folder=folder, command=stub)
+    assert [row.index for row in rows] == [0, 1]
+    assert all(row.right == (row.kind == "none") for row in rows)
+    assert {p.name for p in out.iterdir()} == {"gap.md", "gap.json", "gap.png"}
+    content = json.loads((out / "gap.json").read_text())
+    assert content["seed"] == 31
+    assert len(content["rows"]) == 2
+    answer = json.loads((folder / "answers" / "0000.json").read_text())["diagnosis"]
+    assert set(answer["seen"]) <= {"data.npz", "log.txt", "model.xml", "parameters.toml"}
+    assert not any("31" in a or "key" in a for a in answer["args"])
+    assert str(tmp_path) not in answer["cwd"]
+    assert "SECRET_KEY_FOLDER" not in answer["environment"]
+    before = (folder / "answers" / "0001.json").stat().st_mtime_ns
+    assert len(bench.run(31, out, cases=3, folder=folder, command=stub)) == 3
+    assert (folder / "answers" / "0001.json").stat().st_mtime_ns == before
+
+
+def test_a_diagnosis_that_fails_or_hangs_is_a_row(tmp_path):
+    """Exit status and time limit are named, and the benchmark goes on."""
+    fails = [sys.executable, "-c", "raise SystemExit('it broke')"]
+    hangs = [sys.executable, "-c", "import time; time.sleep(60)"]
+    failed = bench.run(31, tmp_path / "a", cases=1, folder=tmp_path / "fails", command=fails)
+    late = bench.run(31, tmp_path / "b", cases=1, folder=tmp_path / "hangs", command=hangs, limit=0.5)
+    assert failed[0].reason == "exit status 1; it broke"
+    assert late[0].reason == "time limit"
+    assert late[0].seconds < 10
+
+
+def test_the_key_is_written_after_the_diagnosis(stub, tmp_path, monkeypatch):
+    """While the diagnosis runs there is no key on the disk."""
+    order = []
+    real = case_module._diagnose
+    monkeypatch.setattr(case_module, "_diagnose", lambda *a: (order.append((tmp_path / "keys").exists()), real(*a))[1])
+    case = case_module.Case(31, 0, tmp_path, stub, 60.0)
+    case_module.run_case(case)
+    assert order == [False]
+    assert case.key.is_file()
+    assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o700
+
+
+def test_kept_cases_of_other_settings_are_refused(stub, tmp_path):
+    """A time limit changed half way would mix two benchmarks."""
+    bench.run(31, tmp_path / "out", cases=1, folder=tmp_path / "work", command=stub)
+    with pytest.raises(BadInput, match=r"limit 300\.0, this call has 5\.0"):
+        bench.run(31, tmp_path / "out", cases=1, folder=tmp_path / "work", command=stub, limit=5.0)
+
+
+@pytest.mark.parametrize(("bad", "words"), [({"cases": 0}, "cases"), ({"jobs": 0}, "jobs"), ({"limit": -1.0}, "limit")])
+def test_bad_arguments_are_named(bad, words, tmp_path):
+    """Before anything is drawn."""
+    with pytest.raises(BadInput, match=words):
+        bench.run(1, tmp_path, folder=tmp_path / "work", **bad)
+
+
+def test_keys_may_not_lie_among_the_systems(tmp_path):
+    """Whoever gets the systems would get them."""
+    with pytest.raises(BadInput, match="keys"):
+        bench.draw_only(1, tmp_path, tmp_path / "keys", cases=1)
+
+
+def test_the_command_draws_systems_to_develop_on(tmp_path):
+    """Public files and keys in two folders, no diagnosis."""
+    call = ["bench", "gap", "--seed", "31", "--cases", "1", "--draw-only", "--folder", str(tmp_path)]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "systems" / "31-0000" / "model.xml").is_file()
+    assert (tmp_path / "keys" / "31-0000.json").is_file()
