@@ -66,6 +66,18 @@ def test_noise_is_a_share_of_what_channels_move(body):
         np.testing.assert_allclose(np.linalg.norm(b[:, column : column + 4], axis=1), 1.0, rtol=1e-12)
 
 
+def test_transitions_apart_share_no_error(swings):
+    """Cut into transitions, the end of one and the start of the next are the same state with different errors."""
+    pieces = sensing.apart(swings[0])
+    assert pieces.robots == ["0", "1", "2"]
+    np.testing.assert_array_equal(pieces.transitions().state, swings[0].transitions().state)
+    noisy, sigma = sensing.with_noise(PENDULUM.model, pieces, 0.1, seed=0)
+    added = (noisy.transitions().state - pieces.transitions().state) / sigma
+    ends, starts = added[:-1, 1].ravel(), added[1:, 0].ravel()
+    # a correlation of n numbers is known to 1 / sqrt(n); shared errors would make it 1
+    assert abs(np.corrcoef(ends, starts)[0, 1]) < 5 / np.sqrt(len(ends))
+
+
 def test_no_noise_leaves_the_recordings_alone(swings):
     """A share of zero gives back the data set itself."""
     noisy, sigma = sensing.with_noise(PENDULUM.model, swings[0], 0.0, seed=0)
@@ -351,10 +363,12 @@ def test_calibration_goes_on(tmp_path, monkeypatch):
     content = json.loads((tmp_path / "calibration_quick" / "pendulum.json").read_text())
     assert len(content["problems"]) == calibration.QUICK_PROBLEMS
     assert all(0 <= r <= 19 for p in content["problems"] for r in p["rank"])
-    assert (tmp_path / "calibration_quick" / "pendulum.png").is_file()
+    assert (tmp_path / "calibration_quick" / "pendulum_anew.png").is_file()
     monkeypatch.setattr(calibration, "problem", None)
     assert estimation.calibrate(tmp_path, quick=True)
-    assert "| dof_damping:hinge |" in (tmp_path / "calibration_quick.md").read_text()
+    page = (tmp_path / "calibration_quick.md").read_text()
+    assert page.count("| dof_damping:hinge |") == 2
+    assert "## pendulum, measured anew" in page
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,21 @@ def with_noise(model: mujoco.MjModel, dataset: Dataset, share: float, seed: int)
     return replace(dataset, episodes=episodes), sigma
 
 
+def apart(dataset: Dataset) -> Dataset:
+    """The same recordings with every transition as an episode of its own, of the same robot as before.
+
+    Noise put on them afterwards is another one at the end of a transition and at the start of the next, as if every
+    transition were measured anew.
+    """
+    pieces = []
+    for e in dataset:
+        for t in range(len(e) - 1):
+            rows = slice(t, t + 2)
+            name, robot = f"{e.name}.{t}", e.robot or e.name
+            pieces.append(Episode(name, e.time[rows], e.qpos[rows], e.qvel[rows], e.ctrl[rows], robot))
+    return replace(dataset, episodes=pieces)
+
+
 def channel_spread(states: StateSpace, dataset: Dataset) -> Array:
     """Standard deviation of every channel over all rows of all recordings, (ndiff,)."""
     rows = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in dataset])

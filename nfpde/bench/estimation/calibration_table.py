@@ -1,0 +1,101 @@
+"""Coverage of the posteriors of random robots, as a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nfpde.bench.estimation.ranks import WANTED, coverage, histogram
+from nfpde.bench.estimation.stages import SCHEMA_VERSION, provenance
+from nfpde.benchmarks import robot
+from nfpde.storage import read_json
+
+CHANCE = 3.0
+"""A parameter whose coverage is more standard errors off than this is not off by chance."""
+
+
+def summary(name: str, rows: list[dict[str, Any]], samples: int) -> dict[str, Any]:
+    """Coverage and histograms of finished problems."""
+    ranks = [r["rank"] for r in rows]
+    return {
+        "robot": name,
+        "parameters": robot(name).space.names,
+        "problems": rows,
+        "coverage": {share: coverage(ranks, samples, int(share) / 100) for share in WANTED},
+        "histogram": histogram(ranks, samples),
+    }
+
+
+def table(folder: Path, command: str) -> str:
+    """Everything in the folder, finished or not, Markdown."""
+    lines = []
+    for path in sorted(folder.glob("*.json")):
+        content = read_json(path, SCHEMA_VERSION)
+        if path.name.endswith(".part.json"):
+            if content["provenance"] != provenance() or not content["stages"]:
+                continue
+            facts = content["facts"]
+            content |= summary(facts["robot"], list(content["stages"].values()), facts["settings"]["samples"])
+        lines += _section(content, f"{folder.name}/{path.name.partition('.')[0]}.png")
+    return "\n".join(
+        [
+            "# Calibration by simulation",
+            "",
+            "Every problem is a robot drawn uniformly from the box, which is the estimator's prior, recorded under "
+            "random commands with white noise on every measured state (0.1 % to 1 % of each channel's standard "
+            "deviation, drawn log-uniformly) and fitted alone by `trajectory`. A central region of its posterior must "
+            "hold the true value as often as it says: all parameters together 45 % to 55 % and 85 % to 95 %, each one "
+            f"to within {CHANCE:g} standard errors. After ±: one standard error, binomial for a parameter; for all "
+            "together from the spread over problems, because the parameters of one problem are not independent. "
+            "`error / std`: root mean square of the error of the posterior mean in posterior standard deviations; 1 "
+            "is calibrated, less is too wide.",
+            "",
+            "`measured anew` is a control: each transition is a recording of its own, whose two states have errors of "
+            "their own. In a recording as it comes a measured state ends one transition and starts the next.",
+            "",
+            *lines,
+            f"`{command}`.",
+            "",
+        ]
+    )
+
+
+def _section(content: dict[str, Any], picture: str) -> list[str]:
+    half, most = (content["coverage"][share] for share in WANTED)
+    done, facts, p = content["problems"], content["facts"], content["provenance"]
+    off = np.array([[(m - t) / s for m, t, s in zip(r["mean"], r["true"], r["std"], strict=True)] for r in done])
+    rows = []
+    for i, name in enumerate(content["parameters"]):
+        cells = [
+            _judged(found["by_parameter"][i], found["error"], share) for share, found in content["coverage"].items()
+        ]
+        rows.append(f"| {name} | {cells[0]} | {cells[1]} | {np.sqrt((off[:, i] ** 2).mean()):.2f} |")
+    verdicts = []
+    for share, found in zip(WANTED, (half, most), strict=True):
+        low, high = WANTED[share]
+        error = "" if found["pooled_error"] is None else f" ± {found['pooled_error']:.1%}"
+        passed = "pass" if low <= found["pooled"] <= high else f"FAIL: {low:.0%} to {high:.0%} wanted"
+        verdicts.append(f"{found['pooled']:.1%}{error} {passed}")
+    commit = (p["commit"] or "unknown")[:10] + (" with changes" if p["uncommitted"] else "")
+    return [
+        f"## {content['robot']}" + (", measured anew" if facts["anew"] else ""),
+        "",
+        "| parameter | central 50 % holds | central 90 % holds | error / std |",
+        "|---|---|---|---|",
+        *rows,
+        f"| all | {verdicts[0]} | {verdicts[1]} | {np.sqrt((off**2).mean()):.2f} |",
+        "",
+        f"![rank histograms]({picture})",
+        "",
+        f"{len(done)} of {facts['problems']} problems, {facts['episodes']} episode(s) each, median "
+        f"{np.median([r['transitions'] for r in done]):.0f} transitions and "
+        f"{np.median([r['million_steps'] for r in done]):.2g} million simulated steps; code {commit}.",
+        "",
+    ]
+
+
+def _judged(covered: float, error: float, share: str) -> str:
+    passed = abs(covered - int(share) / 100) <= CHANCE * error
+    return f"{covered:.0%} ± {error:.0%}" + ("" if passed else " FAIL")
