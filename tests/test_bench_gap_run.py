@@ -2,12 +2,14 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
 from nfpde.bench.gap import cases as case_module
 from nfpde.bench.gap import run as bench
+from nfpde.bench.gap.draw import draw_system
 from nfpde.cli import app
 from nfpde.errors import BadInput
 
@@ -23,6 +25,23 @@ answer = {"schema": 1, "verdict": "no_gap", "effects": [], "where": [], "simulat
 """
 
 
+@pytest.fixture(scope="module")
+def drawn():
+    """One system."""
+    return draw_system(31, 1)
+
+
+@pytest.fixture
+def quick(drawn, monkeypatch):
+    """Every index is the same system: drawing is tested elsewhere."""
+
+    def same(seed, index):
+        return replace(drawn, key={**drawn.key, "seed": seed, "index": index})
+
+    monkeypatch.setattr(case_module, "draw_system", same)
+    monkeypatch.setattr(bench, "draw_system", same)
+
+
 @pytest.fixture
 def stub(tmp_path):
     """A command that says "no gap" and what it saw."""
@@ -31,7 +50,7 @@ def stub(tmp_path):
     return [sys.executable, str(path)]
 
 
-def test_a_run_goes_from_systems_to_a_table_and_goes_on(stub, tmp_path, monkeypatch):
+def test_a_run_goes_from_systems_to_a_table_and_goes_on(stub, quick, tmp_path, monkeypatch):
     """Finished cases are kept; tables, rows and picture are there; the diagnosis saw public files only."""
     monkeypatch.setenv("SECRET_KEY_FOLDER", "somewhere")
     folder, out = tmp_path / "work", tmp_path / "out"
@@ -52,7 +71,7 @@ def test_a_run_goes_from_systems_to_a_table_and_goes_on(stub, tmp_path, monkeypa
     assert (folder / "answers" / "0001.json").stat().st_mtime_ns == before
 
 
-def test_a_diagnosis_that_fails_or_hangs_is_a_row(tmp_path):
+def test_a_diagnosis_that_fails_or_hangs_is_a_row(quick, tmp_path):
     """Exit status and time limit are named, and the benchmark goes on."""
     fails = [sys.executable, "-c", "raise SystemExit('it broke')"]
     hangs = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -63,7 +82,7 @@ def test_a_diagnosis_that_fails_or_hangs_is_a_row(tmp_path):
     assert late[0].seconds < 10
 
 
-def test_the_key_is_written_after_the_diagnosis(stub, tmp_path, monkeypatch):
+def test_the_key_is_written_after_the_diagnosis(stub, quick, tmp_path, monkeypatch):
     """While the diagnosis runs there is no key on the disk."""
     order = []
     real = case_module._diagnose
@@ -75,7 +94,7 @@ def test_the_key_is_written_after_the_diagnosis(stub, tmp_path, monkeypatch):
     assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o700
 
 
-def test_kept_cases_of_other_settings_are_refused(stub, tmp_path):
+def test_kept_cases_of_other_settings_are_refused(stub, quick, tmp_path):
     """A time limit changed half way would mix two benchmarks."""
     bench.run(31, tmp_path / "out", cases=1, folder=tmp_path / "work", command=stub)
     with pytest.raises(BadInput, match=r"limit 300\.0, this call has 5\.0"):
@@ -95,7 +114,7 @@ def test_keys_may_not_lie_among_the_systems(tmp_path):
         bench.draw_only(1, tmp_path, tmp_path / "keys", cases=1)
 
 
-def test_the_command_draws_systems_to_develop_on(tmp_path):
+def test_the_command_draws_systems_to_develop_on(quick, tmp_path):
     """Public files and keys in two folders, no diagnosis."""
     call = ["bench", "gap", "--seed", "31", "--cases", "1", "--draw-only", "--folder", str(tmp_path)]
     result = CliRunner().invoke(app, call)

@@ -105,6 +105,11 @@ def moving_bodies(model: mujoco.MjModel, robot: Robot) -> list[str]:
     return [model.body(b).name for b in range(1, model.nbody)]
 
 
+def swinging(model: mujoco.MjModel, robot: Robot) -> list[str]:
+    """Bearings that turn to and fro, unlike wheels."""
+    return [name for name in hinges(model, robot) if name not in robot.spins]
+
+
 def only(name: str) -> Places:
     """A single place."""
     return lambda model, robot: [name]
@@ -239,7 +244,7 @@ EFFECTS: dict[str, Entry] = {
     "backlash": Entry(
         drives.GearPlay,
         geared,
-        lambda p, r, t, g: {"width": float(p.position[_dof(p, t)]) * spread(g, 0.01, 0.2)},
+        lambda p, r, t, g: {"width": min(float(p.position[_dof(p, t)]), 0.6) * spread(g, 0.01, 0.2)},
         "gap",
     ),
     "servo_gain": Entry(drives.ServoGain, of_kind("position", "velocity"), _servo_gain, "drive"),
@@ -254,14 +259,16 @@ EFFECTS: dict[str, Entry] = {
         "friction",
     ),
     "viscous_damping": Entry(bodies.Grease, joints, _grease, "friction"),
-    "joint_spring": Entry(bodies.Spring, hinges, _spring, "offset"),
+    "joint_spring": Entry(bodies.Spring, swinging, _spring, "offset"),
     "armature": Entry(
         bodies.RotorInertia,
-        joints,
+        driven_joints,
         lambda p, r, t, g: {"inertia": float(p.inertia[dof_of(p.model, t)]) * spread(g, 0.03, 1)},
         "inertia",
     ),
-    "joint_offset": Entry(sensors.EncoderZero, hinges, lambda p, r, t, g: {"offset": signed(g, 0.01, 0.15)}, "offset"),
+    "joint_offset": Entry(
+        sensors.EncoderZero, swinging, lambda p, r, t, g: {"offset": signed(g, 0.01, 0.15)}, "offset"
+    ),
     "sensor_scale": Entry(
         sensors.EncoderScale, hinges, lambda p, r, t, g: {"scale": 1 + signed(g, 0.01, 0.15)}, "sensor"
     ),
@@ -305,7 +312,7 @@ OUTSIDERS: dict[str, Entry] = {
     ),
     "magnet": Entry(
         outsiders.Magnet,
-        hinges,
+        swinging,
         lambda p, r, t, g: {
             "torque": _torque(p, t, g, 0.3, 1.5),
             "angle": float(r.home[p.model.joint(t).qposadr[0]] + p.position[dof_of(p.model, t)] * g.uniform(-0.8, 0.8)),
@@ -325,7 +332,7 @@ OUTSIDERS: dict[str, Entry] = {
     ),
     "loose_cable": Entry(
         outsiders.LooseCable,
-        hinges,
+        swinging,
         lambda p, r, t, g: {
             "stiffness": _torque(p, t, g, 1, 4) / float(p.position[dof_of(p.model, t)]),
             "angle": float(r.home[p.model.joint(t).qposadr[0]] + p.position[dof_of(p.model, t)] * g.uniform(0.2, 0.9)),
@@ -334,7 +341,7 @@ OUTSIDERS: dict[str, Entry] = {
     ),
     "repulsion": Entry(
         outsiders.Repulsion,
-        hinges,
+        swinging,
         lambda p, r, t, g: {
             "stiffness": _torque(p, t, g, 0.4, 1.5) / float(p.position[dof_of(p.model, t)]),
             "angle": float(r.home[p.model.joint(t).qposadr[0]]),

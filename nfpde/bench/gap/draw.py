@@ -86,13 +86,13 @@ def draw_system(seed: int, index: int) -> System:
     Raises:
         RuntimeError: no attempt gave a fault that shows.
     """
-    rng = np.random.default_rng([seed, index])
+    rng = np.random.default_rng([seed, 1, index, 1])  # streams may not differ by trailing zeros alone
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     round_, place = divmod(index, len(EFFECTS))
-    first = str(np.random.default_rng([seed, 7, round_]).permutation(list(EFFECTS))[place])
+    first = str(np.random.default_rng([seed, 2, round_, 1]).permutation(list(EFFECTS))[place])
     for attempt in range(ATTEMPTS):
         found = _attempt(
-            kind, first if attempt < ATTEMPTS // 2 else None, np.random.default_rng([seed, index, attempt])
+            kind, first if attempt < ATTEMPTS // 2 else None, np.random.default_rng([seed, 3, index, attempt + 1])
         )
         if found is not None:
             found.key.update(seed=seed, index=index, kind=kind, attempts=attempt + 1)

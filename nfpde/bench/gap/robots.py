@@ -26,6 +26,7 @@ class Robot:
         driven: column in qpos and in qvel that each tracked actuator moves, (nu,).
         base_command: command that is added always, (nu,); empty for none.
         lift: column of qpos that is the height above the ground, None without a ground.
+        spins: joints that turn round and round.
         planar: whether everything happens in the x-z plane.
         frequency: highest frequency of its motions [Hz].
     """
@@ -42,6 +43,7 @@ class Robot:
     driven: tuple[int, ...] = ()
     base_command: tuple[float, ...] = ()
     lift: int | None = None
+    spins: tuple[str, ...] = ()
     planar: bool = False
     frequency: float = 2.0
 
@@ -101,6 +103,7 @@ ROBOTS = {
             start=(0.5, 0.35, 1.5),
             speed=(0.1, 0.2, 0.5),
             reach=(1.0, 4.0),
+            spins=("twist",),
             frequency=1.5,
         ),
         Robot(
@@ -160,6 +163,7 @@ ROBOTS = {
             start=(0.3, 0.3, 0.0, 0.0, 0.0, 2.0, 1.0, 1.0),
             speed=(0.0,) * 8,
             reach=(8.0, 8.0),
+            spins=("left", "right"),
             lift=2,
             frequency=1.2,
         ),
