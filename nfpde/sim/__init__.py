@@ -4,6 +4,9 @@ from nfpde.sim.callable import CallableSimulator as CallableSimulator
 from nfpde.sim.cpu import MujocoSimulator as MujocoSimulator
 from nfpde.sim.model import load_model as load_model
 from nfpde.sim.model import model_hash as model_hash
+from nfpde.sim.select import Device as Device
+from nfpde.sim.select import make_simulator as make_simulator
+from nfpde.sim.select import runs_on as runs_on
 from nfpde.sim.simulator import LOSS_LIMIT as LOSS_LIMIT
 from nfpde.sim.simulator import Simulator as Simulator
 from nfpde.sim.simulator import squared_error as squared_error

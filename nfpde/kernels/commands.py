@@ -1,0 +1,40 @@
+"""Effects on the way from the recorded commands to the actuators, one kernel each.
+
+All have the same arguments. `signal` holds the commands of every physics step, those before the window's start
+included, and is changed in place, by one thread for each world and command.
+"""
+
+import warp as wp
+
+
+@wp.kernel(enable_backward=False)
+def _delay_commands(
+    # In:
+    values_in: wp.array2d[wp.float64],
+    active_in: wp.array2d[int],
+    world_row_in: wp.array[int],
+    ctrlid_in: wp.array[int],
+    first_in: int,
+    effect_in: int,
+    timestep_in: wp.float64,
+    # Out:
+    signal_out: wp.array3d[float],
+):
+    """Actuation delay: shift by whole steps, and average the two commands that a physics step overlaps."""
+    worldid, i = wp.tid()
+    row = world_row_in[worldid]
+    if active_in[row, effect_in] == 0:
+        return
+    ctrlid = ctrlid_in[i]
+    late = values_in[row, first_in] / timestep_in
+    whole = int(wp.floor(late + wp.float64(1.0e-9)))
+    share = float(late - wp.float64(whole))
+    if share < 1.0e-9:  # a whole number of steps but for rounding: a plain shift
+        share = 0.0
+    # from the last step to the first, so that what is read has not been written yet
+    s = int(signal_out.shape[1] - 1)
+    while s >= 0:
+        newer = signal_out[worldid, wp.max(s - whole, 0), ctrlid]
+        older = signal_out[worldid, wp.max(s - whole - 1, 0), ctrlid]
+        signal_out[worldid, s, ctrlid] = (1.0 - share) * newer + share * older
+        s -= 1

@@ -1,0 +1,64 @@
+"""Which simulator runs a model: the GPU's where there is one, plain MuJoCo elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import mujoco
+
+from nfpde.effects import Effect
+from nfpde.errors import BadInput
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.cpu import MujocoSimulator
+
+if TYPE_CHECKING:
+    from nfpde.sim.warp import WarpSimulator
+
+Device = Literal["auto", "cpu", "cuda", "warp-cpu"]
+"""`cpu`: MuJoCo in double precision; `cuda`: MuJoCo Warp; `warp-cpu`: its kernels without a GPU, for tests."""
+
+
+def make_simulator(
+    model: str | Path | mujoco.MjModel,
+    space: ParameterSpace | None = None,
+    effects: Sequence[Effect] = (),
+    *,
+    device: Device = "auto",
+    check_influence: bool = True,
+) -> MujocoSimulator | WarpSimulator:
+    """The simulator of a model on a device.
+
+    Args:
+        model: see `MujocoSimulator`.
+        space: see `MujocoSimulator`.
+        effects: see `MujocoSimulator`.
+        device: `auto` is `cuda` if Warp finds a CUDA device, else `cpu`. What a device cannot run is an error, never
+            run on another one.
+        check_influence: see `MujocoSimulator`.
+
+    Raises:
+        BadInput: no such device, or no CUDA device.
+        BadModel, BadEffect: what MuJoCo Warp does not support; the text says what to change.
+        BadParameter: see `MujocoSimulator`.
+    """
+    if device not in get_args(Device):
+        raise BadInput(f"no device is called {device!r}; there are: {', '.join(get_args(Device))}")
+    if device == "auto":
+        from nfpde.sim.warp_device import has_cuda
+
+        device = "cuda" if has_cuda() else "cpu"
+    if device == "cpu":
+        return MujocoSimulator(model, space, effects, check_influence=check_influence)
+    from nfpde.sim.warp import WarpSimulator  # a second of imports, where it is used
+
+    return WarpSimulator(model, space, effects, device=device, check_influence=check_influence)
+
+
+def runs_on(simulator: MujocoSimulator | WarpSimulator) -> str:
+    """The device a simulator runs on, for people: its name and what it is."""
+    if isinstance(simulator, MujocoSimulator):
+        return f"cpu: MuJoCo {mujoco.__version__}, double precision, {simulator.nthread} thread(s)"
+    kind = "cuda" if simulator.device.is_cuda else "warp-cpu"
+    return f"{kind}: MuJoCo Warp, single precision, {simulator.device.name or 'CPU'}"

@@ -1,0 +1,224 @@
+"""The batched simulator: MuJoCo Warp, thousands of worlds at once on a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from nfpde.dataset import Dataset, Windows
+from nfpde.effects import Effect
+from nfpde.errors import BadInput, BadModel
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.cpu import MujocoSimulator
+from nfpde.sim.simulator import Array, Simulator
+from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Sizes, WarpBatch
+from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory
+from nfpde.sim.warp_effects import WarpEffects
+from nfpde.sim.warp_model import WarpModel
+from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world
+
+MOST_BATCHES = 3
+"""Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
+
+
+class WarpSimulator(Simulator):
+    """MuJoCo Warp: single precision, every pair of parameters and window a world, all in one batch.
+
+    Parameters go to the device, losses come back; states stay there. `reference` is the same simulator on the CPU,
+    in double precision.
+
+    Args:
+        model: path of an MJCF or URDF file, or a compiled mjModel; see `load_model` for what is changed in it.
+        space: the parameters; see `MujocoSimulator`.
+        effects: physics the model lacks; their parameters are appended to the space.
+        device: `cuda`, or `warp-cpu` for tests: the same code, slower than `MujocoSimulator`.
+        nworld: worlds at once, at most; 0 takes as many as fit into the memory that is free.
+        check_influence: see `MujocoSimulator`, which does the check.
+
+    Raises:
+        BadModel: MuJoCo Warp lacks something the model uses.
+        BadEffect: an effect without a kernel.
+        BadParameter, BadInput: what cannot be used, and why.
+    """
+
+    def __init__(
+        self,
+        model: str | Path | mujoco.MjModel,
+        space: ParameterSpace | None = None,
+        effects: Sequence[Effect] = (),
+        *,
+        device: WarpDevice = "cuda",
+        nworld: int = 0,
+        check_influence: bool = True,
+    ) -> None:
+        self.device = open_device(device)
+        if nworld < 0:
+            raise BadInput(f"nworld must be positive, or 0 for as many as fit, got {nworld}")
+        self.reference = MujocoSimulator(model, space, effects, check_influence=check_influence)
+        self.model, self.effects = self.reference.model, self.reference.effects
+        self.space, self.states = self.reference.space, self.reference.states
+        self.memory_time = self.reference.memory_time
+        self.nworld = nworld
+        writer = self.reference.writer
+        with wp.ScopedDevice(self.device):
+            self._effects = WarpEffects(self.effects, writer.nbase, float(self.model.opt.timestep))
+            self._model = WarpModel(self.model, self.space, writer, self._effects.step_fields)
+        self._batches: dict[Sizes, WarpBatch] = {}
+        self._buffers: tuple[int, int] | None = None
+        self._memory = free_bytes(self.device)
+        self._bytes_of: dict[Sizes, int] = {}
+
+    def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
+        """See `Simulator.rollout`; more worlds than fit at once are simulated in chunks."""
+        self._check_windows(windows)
+        out = np.empty((len(vector), windows.horizon, self.states.nx))
+        most = self._most_worlds(windows, keep=True)
+        for start in range(0, len(vector), most):
+            part = slice(start, start + most)
+            vectors, v = np.unique(vector[part], return_inverse=True)
+            chosen, w = np.unique(window[part], return_inverse=True)
+            n = 1 << (len(v) - 1).bit_length() if len(v) < most else most
+            sizes = self._sizes(windows, nrow=n, nworld=n, nwindow=n, keep=True)
+            batch = self._run(sizes, xi[vectors], windows[chosen], pairs=(v, w))
+            out[part] = batch.predictions()[: len(v)]
+        self._count(len(vector), windows)
+        return out
+
+    def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
+        """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
+        xi = self._check(xi, windows)
+        self._check_windows(windows)
+        scale = np.asarray(scale, dtype=np.float64)
+        if scale.shape != (self.states.ndiff,) or not (scale > 0).all():
+            raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
+        m, n = len(xi), len(windows)
+        out = np.empty((m, n))
+        for vectors, chosen in _tiles(m, n, self._most_worlds(windows, keep=False)):
+            part = windows[np.arange(chosen.start, chosen.stop)]
+            nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
+            sizes = self._sizes(windows, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow, keep=False)
+            batch = self._run(sizes, xi[vectors], part, scale=scale)
+            out[vectors, chosen] = batch.losses(nrow, nwindow)
+        self._count(m * n, windows)
+        return out
+
+    def prepare(self, dataset: Dataset) -> Dataset:
+        """See `MujocoSimulator.prepare`."""
+        return self.reference.prepare(dataset)
+
+    def nominal(self) -> Array:
+        """See `MujocoSimulator.nominal`."""
+        return self.reference.nominal()
+
+    def substeps(self, control_dt: float) -> int:
+        """See `MujocoSimulator.substeps`."""
+        return self.reference.substeps(control_dt)
+
+    def identity(self) -> dict[str, Any]:
+        """That of the reference, and that it ran in single precision."""
+        ours = {"class": type(self).__name__, "mujoco_warp": version("mujoco_warp")}
+        return {**self.reference.identity(), **ours}
+
+    def _run(
+        self,
+        sizes: Sizes,
+        xi: Array,
+        windows: Windows,
+        *,
+        scale: Array | None = None,
+        pairs: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
+    ) -> WarpBatch:
+        """Run a batch of the shape, with larger buffers for as long as they overflow."""
+        fields = self._model.stage(xi)
+        values, active = self._effects.stage(xi)
+        while True:
+            if self._buffers is None:
+                self._buffers = buffer_sizes(self.model, windows)
+            batch = self._batch(replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1]))
+            batch.stage(fields, values, active, windows)
+            if pairs is None:
+                batch.pair_all(len(xi), len(windows))
+            else:
+                batch.pair(*pairs)
+            overflow = batch.run(np.ones(self.states.ndiff) if scale is None else scale)
+            if overflow & COLLIDER:
+                raise BadModel(
+                    "MuJoCo Warp's buffers for collisions of meshes or height fields overflowed, and their size is "
+                    "fixed; use simpler geoms (capsules, boxes), or device='cpu'"
+                )
+            if not overflow & (CONSTRAINTS | CONTACTS):
+                return batch
+            nconmax, njmax = self._buffers
+            grown = (2 * nconmax if overflow & CONTACTS else nconmax, 2 * njmax if overflow & CONSTRAINTS else njmax)
+            self._buffers = grown
+            self._batches.clear()
+
+    def _batch(self, sizes: Sizes) -> WarpBatch:
+        """The batch of a shape, made or kept from an earlier call."""
+        batch = self._batches.pop(sizes, None)
+        if batch is None:
+            needed = sizes.nworld * self._bytes(sizes)
+            while self._batches and (len(self._batches) >= MOST_BATCHES or self._taken() + needed > self._memory):
+                self._batches.pop(next(iter(self._batches)))
+            try:
+                batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
+            except RuntimeError as error:
+                if "alloc" not in str(error).lower() and "memory" not in str(error).lower():
+                    raise
+                self._batches.clear()
+                raise out_of_memory(self.device, self._memory, sizes.nworld, self._bytes(sizes)) from None
+        self._batches[sizes] = batch
+        return batch
+
+    def _sizes(self, windows: Windows, *, nrow: int, nworld: int, nwindow: int, keep: bool) -> Sizes:
+        nhistory, nsub = self.history_steps(windows.control_dt), self.substeps(windows.control_dt)
+        nconmax, njmax = self._buffers or (0, 0)
+        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, keep, nconmax, njmax)
+
+    def _most_worlds(self, windows: Windows, *, keep: bool) -> int:
+        """Worlds at once: as many as were asked for, or as fit into the memory that was free at the beginning."""
+        if self.nworld:
+            return self.nworld
+        if self._buffers is None:
+            self._buffers = buffer_sizes(self.model, windows)
+        return most_worlds(self._memory, self._bytes(self._sizes(windows, nrow=1, nworld=1, nwindow=1, keep=keep)))
+
+    def _bytes(self, sizes: Sizes) -> int:
+        """Memory of a world in batches of that kind, measured once for each."""
+        kind = replace(sizes, nrow=1, nworld=1, nwindow=1)
+        if kind not in self._bytes_of:
+            self._bytes_of[kind] = bytes_per_world(self._model, self._effects, self.states, kind, self.device)
+        return self._bytes_of[kind]
+
+    def _taken(self) -> int:
+        return sum(sizes.nworld * self._bytes(sizes) for sizes in self._batches)
+
+    def _check_windows(self, windows: Windows) -> None:
+        if windows.ctrl.shape[2] != self.model.nu:
+            raise BadInput(f"the windows have nu={windows.ctrl.shape[2]} commands, the model nu={self.model.nu}")
+        self.substeps(windows.control_dt)
+
+    def _count(self, rows: int, windows: Windows) -> None:
+        self.simulated_steps += rows * windows.horizon * self.substeps(windows.control_dt)
+
+
+def _tiles(m: int, n: int, most: int) -> Iterator[tuple[slice, slice]]:
+    """Cut m vectors x n windows into near-equal tiles of at most `most` worlds, as many vectors in each as fit."""
+    for vectors in _cut(m, most):
+        for windows in _cut(n, max(1, most // (vectors.stop - vectors.start))):
+            yield vectors, windows
+
+
+def _cut(total: int, most: int) -> list[slice]:
+    pieces = -(-total // most)
+    ends = np.linspace(0, total, pieces + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

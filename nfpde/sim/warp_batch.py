@@ -1,0 +1,273 @@
+"""A batch of worlds on a Warp device: buffers made once, one control step captured, run again and again."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.kernels import loss as loss_kernels
+from nfpde.kernels import rows, states
+from nfpde.sim.simulator import LOSS_LIMIT
+from nfpde.sim.states import StateSpace
+from nfpde.sim.warp_effects import Staged, Step, WarpEffects
+from nfpde.sim.warp_model import WarpModel
+
+Array = NDArray[np.float64]
+
+_O = mjw.OverflowType
+CONSTRAINTS = int(_O.NEFC | _O.NJMAX_NNZ)
+CONTACTS = int(_O.BROADPHASE | _O.NARROWPHASE | _O.CCD)
+COLLIDER = int(_O.EPA_HORIZON | _O.HFIELD)
+"""Overflows of the collision code of meshes and height fields, whose buffers have one size."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Everything that decides how large the buffers of a batch are.
+
+    nrow: rows of the model's fields; world w reads row w % nrow
+    nworld: worlds
+    nwindow: windows of the recordings
+    horizon: control steps in a window
+    nhistory: commands from before its start
+    nsub: physics steps in a control step
+    keep: whether all predicted states are kept, or only their losses
+    nconmax: contacts in a world, on average
+    njmax: constraints in a world
+    """
+
+    nrow: int
+    nworld: int
+    nwindow: int
+    horizon: int
+    nhistory: int
+    nsub: int
+    keep: bool
+    nconmax: int
+    njmax: int
+
+
+class WarpBatch:
+    """Buffers, model and captured control step of one shape; see `nfpde.kernels` for the buffers' meaning.
+
+    Args:
+        model: fields that vary, and how the model is put on the device.
+        effects: effects and their kernels.
+        space: layout of a state.
+        sizes: the shape.
+        device: where it runs.
+    """
+
+    def __init__(
+        self, model: WarpModel, effects: WarpEffects, space: StateSpace, sizes: Sizes, device: wp.Device
+    ) -> None:
+        self.sizes, self.device = sizes, device
+        self._model, self._effects, self._space = model, effects, space
+        z, nx, nu = sizes, space.nx, model.model.nu
+        with wp.ScopedDevice(device):
+            self.m, self._fields = model.put(z.nrow, z.nworld)
+            self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
+            self.m.callback.passive = self._flag_overflow
+            self._staged_rows = wp.zeros((z.nrow, model.ncolumn), dtype=float)
+            self._staged = Staged(
+                values=wp.zeros((z.nrow, max(1, effects.nvalue)), dtype=wp.float64),
+                active=wp.zeros((z.nrow, max(1, len(effects.effects))), dtype=int),
+                world_row=wp.zeros(z.nworld, dtype=int),
+            )
+            self._row = wp.zeros(z.nrow, dtype=int)
+            self._world_window = wp.zeros(z.nworld, dtype=int)
+            self._state = wp.zeros((z.nwindow, 1 if z.keep else z.horizon + 1, nx), dtype=wp.float64)
+            self._ctrl = wp.zeros((z.nwindow, z.nhistory + z.horizon, nu), dtype=float)
+            length = (z.nhistory + z.horizon) * z.nsub if effects.on_command else 0
+            self._signal = wp.zeros((z.nworld, length, nu), dtype=float)
+            self._predicted = wp.zeros((z.nworld, z.horizon if z.keep else 1, nx), dtype=float)
+            self._scale = wp.ones(space.ndiff, dtype=wp.float64)
+            starts = np.zeros(nx, np.int32)
+            starts[[q for q, _ in space.quaternions]] = 1
+            self._quaternion = wp.array(starts, dtype=int)
+            self._alive = wp.zeros(z.nworld, dtype=int)
+            self._loss = wp.zeros(z.nworld, dtype=wp.float64)
+            self._step = wp.zeros(1, dtype=int)
+            self._overflow = wp.zeros(1, dtype=int)
+            self._static_geoms = wp.array(model.static_geoms, dtype=int)
+            self._places = effects.places()
+        self._graph: Any = None
+
+    def stage(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32], windows: Windows) -> None:
+        """Copy parameters of M <= nrow vectors and n <= nwindow windows onto the device."""
+        z = self.sizes
+        nx = self._space.nx
+        _fill(self._staged_rows, fields)
+        _fill(self._staged.values, values)
+        _fill(self._staged.active, active)
+        _fill(self._state, windows.state[:, : self._state.shape[1], :nx])
+        past = windows.history[:, windows.history.shape[1] - z.nhistory :]
+        _fill(self._ctrl, np.concatenate([past, windows.ctrl], axis=1))
+
+    def pair_all(self, nvector: int, nwindow: int) -> None:
+        """Give world i * nrow + j the vector j and the window i."""
+        z = self.sizes
+        with wp.ScopedDevice(self.device):
+            wp.launch(
+                rows._pair_worlds,
+                dim=z.nworld,
+                inputs=[z.nrow, nvector, nwindow],
+                outputs=[self._staged.world_row, self._world_window],
+            )
+            wp.copy(self._row, self._staged.world_row, count=z.nrow)
+
+    def pair(self, vector: NDArray[np.intp], window: NDArray[np.intp]) -> None:
+        """Give every world its own vector and window, (R,) each with R <= nworld = nrow."""
+        _fill(self._staged.world_row, vector.astype(np.int32))
+        _fill(self._world_window, window.astype(np.int32))
+        wp.copy(self._row, self._staged.world_row)
+
+    def run(self, scale: Array) -> int:
+        """Simulate all worlds through their windows; returns the bits of `mjw.OverflowType` that were set."""
+        with wp.ScopedDevice(self.device):
+            self._scale.assign(scale)
+            if self._graph is None:
+                # kernels are loaded by their first launch, which a capture cannot hold
+                self._begin()
+                self._control_step()
+                with wp.ScopedCapture() as capture:
+                    self._control_step()
+                self._graph = capture.graph
+            self._begin()
+            for _ in range(self.sizes.horizon):
+                wp.capture_launch(self._graph)
+            self._overflow.zero_()
+            wp.launch(states._join_overflow, dim=self.sizes.nworld, inputs=[self.d.overflow], outputs=[self._overflow])
+            wp.launch(
+                loss_kernels._limit_loss,
+                dim=self.sizes.nworld,
+                inputs=[self._alive, LOSS_LIMIT],
+                outputs=[self._loss],
+            )
+            return int(self._overflow.numpy()[0])
+
+    def losses(self, nvector: int, nwindow: int) -> Array:
+        """Losses of all pairs after `pair_all`, (nvector, nwindow)."""
+        table = np.asarray(self._loss.numpy(), np.float64).reshape(-1, self.sizes.nrow)
+        return table[:nwindow, :nvector].T
+
+    def predictions(self) -> NDArray[np.float32]:
+        """Predicted states of all worlds, (nworld, H, nx)."""
+        return np.asarray(self._predicted.numpy(), np.float32)
+
+    def poison(self) -> None:
+        """Fill every result with NaN, so that one which is not written cannot pass for an answer."""
+        for array in (self._predicted, self._loss, self.d.qpos, self.d.qvel, self.d.qacc, self.d.ctrl):
+            array.fill_(np.nan)
+
+    def nbytes(self) -> int:
+        """Bytes of all its arrays; the solver's passing buffers come on top."""
+        own = [v for v in vars(self).values() if isinstance(v, wp.array)]
+        return sum(a.capacity for a in [*own, *arrays_of(self.d), *arrays_of(self._staged), *self._fields.values()])
+
+    def _begin(self) -> None:
+        z, nq, nv = self.sizes, self._space.nq, self._space.nv
+        d = self.d
+        for name, columns in self._model.columns.items():
+            if name not in self._model.step_fields:
+                self._gather(name, columns, self._row)
+        self._model.place_static(self.m, d, self._static_geoms)
+        wp.launch(
+            states._set_start,
+            dim=z.nworld,
+            inputs=[self._state, self._world_window, nq, nv],
+            outputs=[
+                *(d.qpos, d.qvel, d.qacc_warmstart, d.qfrc_applied, d.time, d.overflow),
+                *(self._alive, self._loss, self._step),
+            ],
+        )
+        if self._effects.on_command:
+            wp.launch(
+                states._set_signal,
+                dim=self._signal.shape,
+                inputs=[self._ctrl, self._world_window, z.nsub],
+                outputs=[self._signal],
+            )
+            self._effects.change_commands(self._places, self._staged, self._signal)
+
+    def _control_step(self) -> None:
+        z, nx = self.sizes, self._space.nx
+        for k in range(z.nsub):
+            self._physics_step(k)
+        wp.launch(
+            loss_kernels._store_prediction,
+            dim=(z.nworld, nx),
+            inputs=[self.d.qpos, self.d.qvel, self._alive, self._step, self._space.nq],
+            outputs=[self._predicted],
+        )
+        if not z.keep:
+            wp.launch(
+                loss_kernels._add_loss,
+                dim=z.nworld,
+                inputs=[
+                    *(self._predicted, self._state, self._scale, self._quaternion),
+                    *(self._world_window, self._step),
+                ],
+                outputs=[self._loss],
+            )
+        wp.launch(loss_kernels._count_step, dim=1, inputs=[], outputs=[self._step])
+
+    def _physics_step(self, k: int) -> None:
+        z, d, nu = self.sizes, self.d, self._model.model.nu
+        if self._effects.on_command:
+            inputs = [self._signal, self._step, z.nhistory, z.nsub, k]
+            wp.launch(states._send_signal, dim=(z.nworld, nu), inputs=inputs, outputs=[d.ctrl])
+        elif k == 0:
+            inputs = [self._ctrl, self._world_window, self._step, z.nhistory]
+            wp.launch(states._set_ctrl, dim=(z.nworld, nu), inputs=inputs, outputs=[d.ctrl])
+        if self._effects.on_step:
+            for name in self._model.step_fields:
+                self._gather(name, self._model.columns[name], self._staged.world_row)
+            d.qfrc_applied.zero_()
+            self._effects.before_step(self._places, Step(self.m, d, self._fields, self._staged))
+        mjw.step(self.m, d)
+        wp.launch(
+            states._flag_divergence,
+            dim=z.nworld,
+            inputs=[self.m.qpos0, d.qacc, self._space.nq, self._space.nv],
+            outputs=[d.qpos, d.qvel, d.qacc_warmstart, self._alive],
+        )
+
+    def _gather(self, name: str, columns: slice, row: wp.array) -> None:
+        field = self._fields[name]
+        wp.launch(rows._gather_field, dim=field.shape, inputs=[self._staged_rows, row, columns.start], outputs=[field])
+
+    def _flag_overflow(self, m: mjw.Model, d: mjw.Data) -> None:
+        """Called by MuJoCo Warp in every evaluation of the forces, of which a Runge-Kutta step has four."""
+        wp.launch(
+            states._flag_overflow,
+            dim=d.nworld,
+            inputs=[d.nefc, d.nacon, d.ncollision, d.njmax, d.naconmax, int(_O.NEFC), int(_O.NARROWPHASE)],
+            outputs=[d.overflow],
+        )
+
+
+def arrays_of(thing: Any) -> list[wp.array]:
+    """All arrays of a dataclass of Warp's, nested ones included."""
+    found = []
+    for f in dataclasses.fields(thing):
+        value = getattr(thing, f.name)
+        if isinstance(value, wp.array):
+            found.append(value)
+        elif dataclasses.is_dataclass(value):
+            found += arrays_of(value)
+    return found
+
+
+def _fill(array: wp.array, values: NDArray[Any]) -> None:
+    """Copy values into the first rows of an array; the rest repeats the last one."""
+    if len(values) < array.shape[0]:
+        values = np.concatenate([values, np.repeat(values[-1:], array.shape[0] - len(values), axis=0)])
+    array.assign(np.ascontiguousarray(values))

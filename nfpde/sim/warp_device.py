@@ -1,0 +1,67 @@
+"""Which device Warp runs on, and what is said where it cannot."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Literal, get_args
+
+import warp as wp
+
+from nfpde.errors import BadInput
+
+WarpDevice = Literal["cuda", "warp-cpu"]
+
+CPU_BYTES = 1 << 30
+"""Memory that buffers may take on Warp's CPU device, which is there for tests."""
+
+SHARE = 0.8
+"""Part of a GPU's free memory that may be taken; the rest is for kernels, and for others."""
+
+
+@cache
+def start_warp() -> None:
+    """Initialise Warp, without its messages about devices and compiled modules."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+
+
+def has_cuda() -> bool:
+    """Whether Warp finds a CUDA device."""
+    start_warp()
+    return wp.is_cuda_available()
+
+
+def open_device(name: WarpDevice) -> wp.Device:
+    """Warp's device of that name.
+
+    Raises:
+        BadInput: no such name, or no CUDA device and driver that Warp can use.
+    """
+    if name not in get_args(WarpDevice):
+        raise BadInput(f"no device of MuJoCo Warp is called {name!r}; there are: {', '.join(get_args(WarpDevice))}")
+    if name == "cuda" and not has_cuda():
+        raise BadInput(
+            "device 'cuda': Warp finds no CUDA device; check that nvidia-smi lists one and that its driver supports "
+            f"CUDA {'.'.join(map(str, wp.get_cuda_toolkit_version() or ()))} or newer, or use device='cpu'"
+        )
+    start_warp()
+    return wp.get_device("cpu" if name == "warp-cpu" else "cuda:0")
+
+
+def free_bytes(device: wp.Device) -> int:
+    """Memory [bytes] that simulations may take of what is free now."""
+    return int(SHARE * device.free_memory) if device.is_cuda else CPU_BYTES
+
+
+def most_worlds(memory: int, bytes_per_world: int) -> int:
+    """How many worlds fit, at least 1."""
+    return max(1, memory // max(1, bytes_per_world))
+
+
+def out_of_memory(device: wp.Device, memory: int, nworld: int, bytes_per_world: int) -> BadInput:
+    """The error to raise where the buffers of so many worlds could not be allocated."""
+    fitting = min(most_worlds(memory, bytes_per_world), max(1, nworld // 2))
+    return BadInput(
+        f"{device}: no memory for {nworld} worlds of about {bytes_per_world / 1024:.0f} KiB each; {memory / 2**30:.1f} "
+        f"GiB may be taken: pass nworld={fitting}, or shorter windows"
+    )

@@ -1,0 +1,179 @@
+"""A model in MuJoCo Warp whose fields have one row per parameter vector."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import warnings
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from nfpde.errors import BadModel
+from nfpde.kernels import rows as kernels
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.fields import get_field
+from nfpde.sim.writer import ModelWriter
+
+Array = NDArray[np.float64]
+
+UNUSED = frozenset({"dof_M0", "dof_length", "actuator_length0", "body_margin", "bvh_aabb"})
+"""Constants that mj_setConst derives and MuJoCo Warp does not read, or derives itself."""
+
+_PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
+
+
+class WarpModel:
+    """What is common to all batches: the fields that vary, their columns in the staged rows, and static settings.
+
+    Args:
+        model: the nominal model.
+        space: the parameters, those of effects included.
+        writer: writes parameter vectors into it.
+        step_fields: model fields that effects change before every physics step.
+
+    Raises:
+        BadModel: MuJoCo Warp does not support the model, or one of the fields that vary.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, space: ParameterSpace, writer: ModelWriter, step_fields: list[str]
+    ) -> None:
+        self.model = copy.copy(model)
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR  # nobody reads them
+        self.writer = writer
+        self.step_fields = step_fields
+        self._fixed = [f for f in step_fields if f not in writer.fields]
+        self.fields = sorted({*writer.fields, *step_fields} - UNUSED)
+        self.columns: dict[str, slice] = {}
+        first = 0
+        for name in self.fields:
+            size = get_field(self.model, name).size
+            self.columns[name] = slice(first, first + size)
+            first += size
+        self.ncolumn = first
+        nominal = _put(self.model, {})
+        for name in self.fields:
+            _refuse_shared(nominal, name)
+        self._flags = self._static_flags(nominal, space)
+        moving = model.body_weldid[model.geom_bodyid] != 0
+        on_mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] != -1
+        place = _PLACES & {*self.fields}
+        self.static_geoms = np.flatnonzero(~moving & ~on_mocap).astype(np.int32) if place else np.empty(0, np.int32)
+
+    def stage(self, xi: Array) -> NDArray[np.float32]:
+        """The fields of every parameter vector side by side: xi (M, D) to (M, ncolumn)."""
+        out = np.empty((len(xi), self.ncolumn), np.float32)
+        written = self.writer.rows(xi)
+        for name in self._fixed:
+            written[name] = np.broadcast_to(get_field(self.model, name), (len(xi), *get_field(self.model, name).shape))
+        for name, columns in self.columns.items():
+            values = written[name].reshape(len(xi), -1)
+            out[:, columns] = 1 / np.sqrt(np.maximum(values, mujoco.mjMINVAL)) if name == "opt.impratio" else values
+        return out
+
+    def put(self, nrow: int, nworld: int) -> tuple[mjw.Model, dict[str, wp.array]]:
+        """A model on Warp's current device, and its varying fields as (rows, numbers) of floats.
+
+        Fields that effects change before every physics step have a row per world, the others `nrow`, of which world w
+        reads row w % nrow.
+        """
+        sizes = {f: nworld if f in self.step_fields else nrow for f in self.fields}
+        m = _put(self.model, {f: n for f, n in sizes.items() if not f.startswith("opt.")})
+        for name, value in self._flags.items():
+            setattr(m, name, value)
+        m.opt.warn_overflow = 0  # read from the data instead: printing stops the GPU
+        views = {}
+        for name, n in sizes.items():
+            owner, attribute = _where(m, name)
+            array = getattr(owner, attribute)
+            if name.startswith("opt."):
+                array = wp.zeros((n, *array.shape[1:]), dtype=array.dtype)
+                array._is_batched = True  # as MuJoCo Warp marks its own
+                setattr(owner, attribute, array)
+            size = self.columns[name].stop - self.columns[name].start
+            views[name] = wp.array(ptr=array.ptr, dtype=float, shape=(n, size), device=array.device)
+        return m, views
+
+    def place_static(self, m: mjw.Model, d: mjw.Data, geoms: wp.array) -> None:
+        """Put geoms of the world where each world's own model has them."""
+        if geoms.size:
+            mjw.kinematics(m, d)
+            wp.launch(
+                kernels._place_static_geoms,
+                dim=(d.nworld, geoms.size),
+                inputs=[m.geom_bodyid, m.geom_pos, m.geom_quat, d.xpos, d.xquat, geoms],
+                outputs=[d.geom_xpos, d.geom_xmat],
+            )
+
+    def _static_flags(self, nominal: mjw.Model, space: ParameterSpace) -> dict[str, bool]:
+        """Settings that MuJoCo Warp derives once from the model: on if any parameter vector needs them.
+
+        Raises:
+            BadModel: parameters change something that all worlds share.
+        """
+        flags: dict[str, bool] = {}
+        batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.fields}
+        for share in (0.0, 1.0, 0.3819, 0.7236):  # as ModelWriter looks for the fields that change
+            changed = copy.copy(self.model)
+            self.writer.write(changed, space.low + share * (space.high - space.low))
+            other = _put(changed, {})
+            for a, b in ((nominal, other), (nominal.opt, other.opt)):
+                for f in dataclasses.fields(a):
+                    old, new = getattr(a, f.name), getattr(b, f.name)
+                    if f.name in batched or f.name in UNUSED or _same(old, new):
+                        continue
+                    if not isinstance(new, bool | np.bool_):
+                        raise BadModel(
+                            f"MuJoCo Warp shares {f.name} among all worlds, and the parameters change it: leave out "
+                            "the parameter that does, or use device='cpu'"
+                        )
+                    flags[f.name] = True
+        return flags
+
+
+def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return mjw.put_model(model, batch_sizes=batch_sizes)
+    except (NotImplementedError, ValueError) as error:
+        raise BadModel(
+            f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "
+            "device='cpu'"
+        ) from None
+
+
+def _where(m: mjw.Model, name: str) -> tuple[Any, str]:
+    """The object and attribute that hold a field of the model."""
+    if name == "opt.impratio":
+        return m.opt, "impratio_invsqrt"
+    return (m.opt, name[4:]) if name.startswith("opt.") else (m, name)
+
+
+def _refuse_shared(m: mjw.Model, name: str) -> None:
+    """Raise unless worlds may have a field of their own."""
+    owner, attribute = _where(m, name)
+    spec = {f.name: f.type for f in dataclasses.fields(owner)}.get(attribute)
+    if tuple(getattr(spec, "shape", ()))[:1] != ("*",):
+        raise BadModel(
+            f"MuJoCo Warp has no {name} of each world's own, and the parameters change it: leave out the parameter "
+            "that does, or use device='cpu'"
+        )
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, wp.array) and isinstance(b, wp.array):
+        if a.shape != b.shape or a.size == 0:
+            return a.shape == b.shape
+        left, right = a.numpy(), b.numpy()
+        return np.array_equal(left, right, equal_nan=left.dtype.kind == "f")
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if dataclasses.is_dataclass(a) and not hasattr(a, "adr"):
+        return True  # options are compared on their own; callbacks and block sizes do not come from the model
+    return bool(a == b)
