@@ -205,34 +205,64 @@ def test_rank_histogram_counts_every_rank_once(tmp_path):
 
 
 def test_stages_go_on_where_they_stopped(tmp_path):
-    """A finished stage is not computed again, a changed cell is; the file is there when all is done, and only then."""
+    """A finished stage is not computed again, one with other settings is; the file is there when all is done."""
     computed = []
 
     def compute(name):
         computed.append(name)
         return {"of": name}
 
-    def open_stages(facts, minutes=None):
-        return stages.Stages(tmp_path, "cell", facts, stages.Budget.of(minutes))
+    def open_stages(minutes=None, seed=0):
+        return stages.Stages(tmp_path, "cell", {"seed": seed}, stages.Budget.of(minutes))
 
-    first = open_stages({"seed": 0})
-    first("a", lambda: compute("a"))
+    first = open_stages()
+    first("a", lambda: compute("a"), {"size": 1})
     assert not first.path.is_file()
-    again = open_stages({"seed": 0})
-    assert again("a", lambda: compute("again")) == {"of": "a"}
-    over = open_stages({"seed": 0}, minutes=1e-9)
-    assert over("a", lambda: compute("again")) == {"of": "a"}
+    first("no longer asked for", lambda: compute("x"))
+    over = open_stages(minutes=1e-9)
+    assert over("a", lambda: compute("again"), {"size": 1}) == {"of": "a"}
     with pytest.raises(stages.OutOfTime):
         over("b", lambda: compute("late"))
-    other = open_stages({"seed": 1})
-    other("a", lambda: compute("other"))
-    assert computed == ["a", "other"]
-    assert other.finish({"result": 1})["result"] == 1
-    assert open_stages({"seed": 1}).finished() is not None
-    assert open_stages({"seed": 2}).finished() is None
+    with pytest.raises(stages.OutOfTime):
+        over("a", lambda: compute("late"), {"size": 2})
+    again = open_stages()
+    assert again("a", lambda: compute("larger"), {"size": 2}) == {"of": "larger"}
+    assert computed == ["a", "x", "larger"]
+    assert stages.results(again.finish()) == {"a": {"of": "larger"}}
+    assert open_stages().finished() is not None
+    assert open_stages(seed=1).finished() is None
     assert [p.name for p in tmp_path.iterdir()] == ["cell.json"]
     with pytest.raises(BadInput, match="budget is 0 minutes; give a positive number"):
         stages.Budget.of(0)
+
+
+def test_stages_of_older_code(tmp_path, monkeypatch):
+    """An unfinished cell starts afresh with new code, a finished one stays; `renew` does one stage again."""
+    computed = []
+
+    def open_stages(renew=None):
+        return stages.Stages(tmp_path, "cell", {}, stages.Budget.of(None), renew=renew)
+
+    def work(cell):
+        for name in ("slow", "quick"):
+            cell(name, lambda name=name: computed.append(name))
+
+    monkeypatch.setattr(stages, "provenance", lambda: {"commit": "old", "uncommitted": []})
+    open_stages()("slow", lambda: computed.append("slow"))
+    monkeypatch.setattr(stages, "provenance", lambda: {"commit": "new", "uncommitted": []})
+    cell_now = open_stages()
+    work(cell_now)
+    cell_now.finish()
+    assert computed == ["slow", "slow", "quick"]
+    monkeypatch.setattr(stages, "provenance", lambda: {"commit": "newest", "uncommitted": []})
+    assert open_stages().finished() is not None
+    renewed = open_stages(renew="quick")
+    assert renewed.finished() is None
+    work(renewed)
+    assert computed == ["slow", "slow", "quick", "quick"]
+    content = renewed.finish()
+    assert [stages.code_of(content["stages"][name]) for name in ("slow", "quick")] == ["new", "newest"]
+    assert open_stages(renew="quick").finished() is not None
 
 
 def test_provenance_names_the_commit():
@@ -271,8 +301,10 @@ def finished_cell(**changes):
         },
         "bound": {"one_step": None, "whole": None, "sensitivity": [[0.1, 0.0], [0.1, 0.1]]},
         "steps_per_core_second": 1e5,
-        "provenance": {"commit": "a" * 40, "uncommitted": [], "versions": {}, "machine": "m"},
-        "facts": {"settings": {}},
+        "settings": {},
+        "code": {"softmax": "a", "trajectory": "b"},
+        "versions": {},
+        "machine": "m",
     }
     return content | changes
 
@@ -348,10 +380,18 @@ def test_the_grid_goes_on_and_grows(tmp_path, monkeypatch, capsys):
     page = (tmp_path / "estimation.md").read_text()
     assert page.count("| pendulum | gaussian |") == 2
     assert "nfpde bench estimation" in page
-    content = json.loads((tmp_path / "estimation" / "pendulum_gaussian_0.01_0.json").read_text())
-    assert content["trajectory"]["robots"]["true"]
-    assert len(content["bound"]["whole"]) == 2
-    assert content["provenance"]["commit"] == stages.provenance()["commit"]
+    path = tmp_path / "estimation" / "pendulum_gaussian_0.01_0.json"
+    content = json.loads(path.read_text())
+    found = stages.results(content)
+    assert len(found["bound"]["whole"]) == len(found["trajectory"]["robots"]["true"]) == 2
+    assert content["stages"]["trajectory"]["provenance"]["commit"] == stages.provenance()["commit"]
+    content["stages"]["trajectory"]["provenance"]["commit"] = "older"
+    path.write_text(json.dumps(content))
+    assert estimation.run(tmp_path, noises=[0.0, 0.01], refit=True, **few)
+    assert fitted[6:] == ["trajectory"]
+    # the same seeds and code: all but times are the same
+    again = stages.results(json.loads(path.read_text()))
+    assert again["trajectory"]["robots"] == found["trajectory"]["robots"]
 
 
 def test_calibration_goes_on(tmp_path, monkeypatch):
@@ -361,8 +401,9 @@ def test_calibration_goes_on(tmp_path, monkeypatch):
     assert not estimation.calibrate(tmp_path, quick=True, budget_minutes=1e-9)
     assert estimation.calibrate(tmp_path, quick=True)
     content = json.loads((tmp_path / "calibration_quick" / "pendulum.json").read_text())
-    assert len(content["problems"]) == calibration.QUICK_PROBLEMS
-    assert all(0 <= r <= 19 for p in content["problems"] for r in p["rank"])
+    problems = stages.results(content)
+    assert list(problems) == [f"{i}" for i in range(calibration.QUICK_PROBLEMS)]
+    assert all(0 <= r <= 19 for p in problems.values() for r in p["rank"])
     assert (tmp_path / "calibration_quick" / "pendulum_anew.png").is_file()
     monkeypatch.setattr(calibration, "problem", None)
     assert estimation.calibrate(tmp_path, quick=True)

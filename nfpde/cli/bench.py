@@ -46,6 +46,7 @@ def estimation(
     calibration: Annotated[bool, typer.Option(help="coverage of posteriors of random robots instead")] = False,
     problems: Annotated[int, typer.Option(help="random robots of the calibration, of each kind")] = 100,
     quick: Annotated[bool, typer.Option(help="one tiny cell, or a few tiny problems")] = False,
+    refit: Annotated[bool, typer.Option(help="fit anew by trajectory what other code fitted, keep softmax")] = False,
     budget_minutes: Annotated[float | None, typer.Option(help="begin no further fit after so long")] = None,
     out: Out = Path("docs/results"),
 ) -> None:
@@ -58,6 +59,7 @@ def estimation(
         calibration=calibration,
         problems=problems,
         quick=quick,
+        refit=refit,
         budget_minutes=budget_minutes,
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nfpde.bench.estimation.calibration_table import summary, table
+from nfpde.bench.estimation.calibration_table import table
 from nfpde.bench.estimation.ranks import draw_ranks, rank_of
 from nfpde.bench.estimation.sensing import apart, with_noise
 from nfpde.bench.estimation.stages import Budget, OutOfTime, Stages
@@ -103,14 +103,15 @@ def _robot(name: str, anew: bool, folder: Path, settings: CalibrationSettings, c
         return True
     complete = True
     try:
-        rows = [stages(f"{i}", partial(problem, name, anew, settings, i)) for i in range(count)]
-        stages.finish(summary(name, rows, settings.samples))
+        for i in range(count):
+            stages(f"{i}", partial(problem, name, anew, settings, i))
+        stages.finish()
     except OutOfTime:
         complete = False
-        rows = list(stages.done.values())
-        print(f"{stages.path.stem}: {len(rows)} of {count} problems are finished: give the command again")
-    if rows:
-        ranks, title = [r["rank"] for r in rows], f"{stages.path.stem}, {len(rows)} problems"
+        print(f"{stages.path.stem}: {len(stages.done)} of {count} problems are finished: give the command again")
+    if stages.done:
+        ranks = [stage["result"]["rank"] for stage in stages.done.values()]
+        title = f"{stages.path.stem}, {len(ranks)} problems"
         draw_ranks(ranks, settings.samples, parameters, title, stages.path.with_suffix(".png"))
     return complete
 

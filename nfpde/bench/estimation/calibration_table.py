@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nfpde.bench.estimation.ranks import WANTED, coverage, histogram
-from nfpde.bench.estimation.stages import SCHEMA_VERSION, provenance
+from nfpde.bench.estimation.stages import SCHEMA_VERSION, code_of, results
 from nfpde.benchmarks import robot
 from nfpde.storage import read_json
 
@@ -16,15 +16,17 @@ CHANCE = 3.0
 """A parameter whose coverage is more standard errors off than this is not off by chance."""
 
 
-def summary(name: str, rows: list[dict[str, Any]], samples: int) -> dict[str, Any]:
-    """Coverage and histograms of finished problems."""
-    ranks = [r["rank"] for r in rows]
+def summary(content: dict[str, Any]) -> dict[str, Any]:
+    """Problems, coverage and histograms of a finished or unfinished file."""
+    facts, problems = content["facts"], list(results(content).values())
+    ranks, samples = [r["rank"] for r in problems], facts["settings"]["samples"]
     return {
-        "robot": name,
-        "parameters": robot(name).space.names,
-        "problems": rows,
+        "facts": facts,
+        "parameters": robot(facts["robot"]).space.names,
+        "problems": problems,
         "coverage": {share: coverage(ranks, samples, int(share) / 100) for share in WANTED},
         "histogram": histogram(ranks, samples),
+        "code": ", ".join(dict.fromkeys(code_of(stage) for stage in content["stages"].values())),
     }
 
 
@@ -33,12 +35,7 @@ def table(folder: Path, command: str) -> str:
     lines = []
     for path in sorted(folder.glob("*.json")):
         content = read_json(path, SCHEMA_VERSION)
-        if path.name.endswith(".part.json"):
-            if content["provenance"] != provenance() or not content["stages"]:
-                continue
-            facts = content["facts"]
-            content |= summary(facts["robot"], list(content["stages"].values()), facts["settings"]["samples"])
-        lines += _section(content, f"{folder.name}/{path.name.partition('.')[0]}.png")
+        lines += _section(summary(content), f"{folder.name}/{path.name.partition('.')[0]}.png")
     return "\n".join(
         [
             "# Calibration by simulation",
@@ -64,7 +61,7 @@ def table(folder: Path, command: str) -> str:
 
 def _section(content: dict[str, Any], picture: str) -> list[str]:
     half, most = (content["coverage"][share] for share in WANTED)
-    done, facts, p = content["problems"], content["facts"], content["provenance"]
+    done, facts = content["problems"], content["facts"]
     off = np.array([[(m - t) / s for m, t, s in zip(r["mean"], r["true"], r["std"], strict=True)] for r in done])
     rows = []
     for i, name in enumerate(content["parameters"]):
@@ -78,9 +75,8 @@ def _section(content: dict[str, Any], picture: str) -> list[str]:
         error = "" if found["pooled_error"] is None else f" ± {found['pooled_error']:.1%}"
         passed = "pass" if low <= found["pooled"] <= high else f"FAIL: {low:.0%} to {high:.0%} wanted"
         verdicts.append(f"{found['pooled']:.1%}{error} {passed}")
-    commit = (p["commit"] or "unknown")[:10] + (" with changes" if p["uncommitted"] else "")
     return [
-        f"## {content['robot']}" + (", measured anew" if facts["anew"] else ""),
+        f"## {facts['robot']}" + (", measured anew" if facts["anew"] else ""),
         "",
         "| parameter | central 50 % holds | central 90 % holds | error / std |",
         "|---|---|---|---|",
@@ -91,7 +87,7 @@ def _section(content: dict[str, Any], picture: str) -> list[str]:
         "",
         f"{len(done)} of {facts['problems']} problems, {facts['episodes']} episode(s) each, median "
         f"{np.median([r['transitions'] for r in done]):.0f} transitions and "
-        f"{np.median([r['million_steps'] for r in done]):.2g} million simulated steps; code {commit}.",
+        f"{np.median([r['million_steps'] for r in done]):.2g} million simulated steps; code {content['code']}.",
         "",
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from nfpde.bench.estimation.bound import information_bound
 from nfpde.bench.estimation.sensing import with_noise
+from nfpde.bench.estimation.stages import code_of, results
 from nfpde.bench.estimation.temperature import FACTORS, chosen, oracle, score
 from nfpde.benchmarks import Target, collect, robot
 from nfpde.dataset import Dataset
@@ -24,8 +26,11 @@ from nfpde.sim import MujocoSimulator
 from nfpde.truth import Truth
 
 Array = NDArray[np.float64]
-Stage = Callable[[str, Callable[[], Any]], Any]
-"""Name and computation of a part of the work; gives what it computed, now or in an earlier call."""
+Stage = Callable[[str, Callable[[], Any], Any], Any]
+"""Name, computation and settings of a part of the work; gives what it computed, now or in an earlier call."""
+
+SOFTMAX, TRAJECTORY = "softmax, ", "trajectory"
+OWN = f"{SOFTMAX}own beta"
 
 
 @dataclass(frozen=True)
@@ -71,44 +76,65 @@ class Cell:
         return f"{self.robot}_{self.target}_{self.noise:g}_{self.seed}"
 
 
-def measure(cell: Cell, settings: Settings, stage: Stage) -> dict[str, Any]:
+def measure(cell: Cell, settings: Settings, stage: Stage) -> None:
     """Record, fit both ways, measure; every fit is a stage."""
-    body = robot(cell.robot)
-    clean, truth = collect(body, cell.target, episodes=settings.episodes, steps=settings.steps, seed=cell.seed)
-    dataset, sigma = with_noise(body.model, clean, cell.noise, cell.seed)
-    simulator = MujocoSimulator(body.path, body.space)
-    # the first optimiser of a process loads torch's compiler: seconds that are no fit's
-    torch.optim.Adam([torch.zeros(1)])
-    work = _Work(cell, settings, simulator, dataset, truth)
-    first = stage("softmax, own beta", lambda: work.softmax(None))
-    fits = [first]
+    work = _Work(cell, settings)
+    data = {"episodes": settings.episodes, "steps": settings.steps}
+    measured = data | {"samples": settings.samples}
+    by_softmax = measured | asdict(settings.softmax)
+    first = stage(OWN, lambda: work.softmax(None), by_softmax)
     for factor in settings.factors:
         beta = factor * first["beta"]
-        fits.append(stage(f"softmax, {factor:g} x beta", lambda beta=beta: work.softmax(beta)))
-    by_trajectory = stage("trajectory", work.trajectory)
-    bound = stage("bound", lambda: work.bound(clean, sigma))
+        stage(f"{SOFTMAX}{factor:g} x beta", lambda beta=beta: work.softmax(beta), by_softmax | {"beta": beta})
+    stage(TRAJECTORY, work.trajectory, measured | asdict(settings.trajectory))
+    stage("bound", work.bound, data)
+    stage("rate", work.rate, data)
+
+
+def assemble(content: dict[str, Any]) -> dict[str, Any]:
+    """What the table is made from, of a file with the stages of `measure`."""
+    found = results(content)
+    fits = [found[name] for name in found if name.startswith(SOFTMAX)]
+    facts = content["facts"]
+    space = robot(facts["cell"]["robot"]).space
     return {
-        "cell": asdict(cell),
-        "parameters": body.space.names,
-        "width": body.space.width.tolist(),
-        "transitions": len(dataset.transitions()),
-        "before": first["before"],
+        "cell": facts["cell"],
+        "settings": facts["settings"],
+        "parameters": space.names,
+        "width": space.width.tolist(),
+        "before": found[OWN]["before"],
         "softmax": {"fits": fits, "chosen": fits.index(chosen(fits)), "oracle": fits.index(oracle(fits))},
-        "trajectory": by_trajectory,
-        "bound": bound,
-        "steps_per_core_second": stage("rate", work.rate),
+        "trajectory": found[TRAJECTORY],
+        "bound": found["bound"],
+        "steps_per_core_second": found["rate"],
+        "code": {"softmax": code_of(content["stages"][OWN]), "trajectory": code_of(content["stages"][TRAJECTORY])},
+        "versions": content["stages"][TRAJECTORY]["provenance"]["versions"],
+        "machine": content["stages"][TRAJECTORY]["provenance"]["machine"],
     }
 
 
-@dataclass
 class _Work:
-    """The computations of a cell's stages; each gives plain JSON values."""
+    """The computations of a cell's stages; each gives plain JSON values. Nothing is recorded before it is needed."""
 
-    cell: Cell
-    settings: Settings
-    simulator: MujocoSimulator
-    dataset: Dataset
-    truth: Truth
+    def __init__(self, cell: Cell, settings: Settings) -> None:
+        self.cell, self.settings = cell, settings
+        self.body = robot(cell.robot)
+
+    @cached_property
+    def recorded(self) -> tuple[Dataset, Truth]:
+        """Recordings without noise, and the truth."""
+        s = self.settings
+        return collect(self.body, self.cell.target, episodes=s.episodes, steps=s.steps, seed=self.cell.seed)
+
+    @cached_property
+    def measured(self) -> tuple[Dataset, Array]:
+        """Recordings with noise, and the noise's standard deviations."""
+        return with_noise(self.body.model, self.recorded[0], self.cell.noise, self.cell.seed)
+
+    @cached_property
+    def simulator(self) -> MujocoSimulator:
+        """Of the robot."""
+        return MujocoSimulator(self.body.path, self.body.space)
 
     def softmax(self, beta: float | None) -> dict[str, Any]:
         result, counts = self._fit("softmax", replace(self.settings.softmax, beta=beta))
@@ -118,7 +144,7 @@ class _Work:
             "automatic": beta is None,
             "beta": last["beta"],
             "effective": last["effective"],
-            "score": score(self.simulator, self.dataset, result.distribution, self.cell.seed),
+            "score": score(self.simulator, self.measured[0], result.distribution, self.cell.seed),
             **_distances(found, "estimate"),
             **counts,
             "before": {name: _distances(found, name) for name in ("initial", "uniform", "population")},
@@ -127,7 +153,7 @@ class _Work:
     def trajectory(self) -> dict[str, Any]:
         result, counts = self._fit("trajectory", self.settings.trajectory)
         answers = {"population": result.distribution, "episodes": result.episodes or result.distribution}
-        robots = _robots(result, self.truth)
+        robots = _robots(result, self.recorded[1])
         kept = ("converged", "bandwidth", "noise_degrees", "simulated_steps", "seconds")
         return {
             **{name: _distances(self._evaluate(d), "estimate") for name, d in answers.items()},
@@ -139,13 +165,13 @@ class _Work:
             "residuals": self._residuals(np.array(robots["value"])),
         }
 
-    def bound(self, clean: Dataset, sigma: Array) -> dict[str, Any]:
-        found = information_bound(self.simulator, clean, self.truth, sigma)
+    def bound(self) -> dict[str, Any]:
+        found = information_bound(self.simulator, *self.recorded, self.measured[1])
         return {k: None if v is None else v.tolist() for k, v in vars(found).items()}
 
     def rate(self) -> float:
         """Simulated steps in a second of one core, the best of five, with all rows of a call at other parameters."""
-        windows = self.dataset.transitions()[:256]
+        windows = self.measured[0].transitions()[:256]
         xi = self.simulator.space.uniform(20, np.random.default_rng(self.cell.seed))
         rates = []
         for _ in range(5):
@@ -155,8 +181,11 @@ class _Work:
         return max(rates)
 
     def _fit(self, method: Any, config: Any) -> tuple[FitResult, dict[str, float]]:
+        # the first optimiser of a process loads torch's compiler: seconds that are no fit's
+        torch.optim.Adam([torch.zeros(1)])
+        simulator, dataset = self.simulator, self.measured[0]
         begun, cpu = time.perf_counter(), time.process_time()
-        result = fit(self.simulator, self.dataset, method=method, config=config, seed=self.cell.seed, quiet=True)
+        result = fit(simulator, dataset, method=method, config=config, seed=self.cell.seed, quiet=True)
         counts = {
             "million_steps": result.info["simulated_steps"] / 1e6,
             "seconds": time.perf_counter() - begun,
@@ -165,13 +194,13 @@ class _Work:
         return result, counts
 
     def _evaluate(self, d: ParameterDistribution, initial: ParameterDistribution | None = None) -> Evaluation:
-        return evaluate(d, self.truth, initial=initial, samples=self.settings.samples)
+        return evaluate(d, self.recorded[1], initial=initial, samples=self.settings.samples)
 
     def _residuals(self, value: Array) -> dict[str, list[float]]:
         """Mean squared residual of every robot's recording, in increments, at its fitted and at its true parameters."""
-        windows = self.dataset.transitions()
+        windows = self.measured[0].transitions()
         scale = increment_scale(self.simulator.states, windows)
-        xi = np.concatenate([value, self.truth.xi])
+        xi = np.concatenate([value, self.recorded[1].xi])
         losses = self.simulator.losses(xi, windows, scale) / len(scale)
         n = len(value)
         own = [[float(losses[r + k, windows.episode == r].mean()) for r in range(n)] for k in (0, n)]

@@ -20,6 +20,7 @@ def command(
     calibration: bool,
     problems: int,
     quick: bool,
+    refit: bool,
     budget_minutes: float | None,
 ) -> bool:
     """Run what the options ask for; see `run` and `calibrate`.
@@ -30,6 +31,7 @@ def command(
         calibration: `calibrate` instead of `run`.
         problems: of the calibration.
         quick: tiny sizes.
+        refit: fit anew by trajectory what other code fitted.
         budget_minutes: when to stop.
 
     Raises:
@@ -39,7 +41,7 @@ def command(
     if calibration:
         robots = {"robots": given["robots"]} if "robots" in given else {}
         return calibrate(out, problems=problems, quick=quick, budget_minutes=budget_minutes, **robots)
-    return run(out, quick=quick, budget_minutes=budget_minutes, **given)
+    return run(out, quick=quick, refit=refit, budget_minutes=budget_minutes, **given)
 
 
 def split(name: str, text: str) -> list[Any]:

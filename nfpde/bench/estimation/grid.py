@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
-from nfpde.bench.estimation.cell import QUICK, Cell, Settings, measure
+from nfpde.bench.estimation.cell import QUICK, TRAJECTORY, Cell, Settings, assemble, measure
 from nfpde.bench.estimation.stages import SCHEMA_VERSION, Budget, OutOfTime, Stages
 from nfpde.bench.estimation.table import line, order, table
 from nfpde.benchmarks import ROBOTS, Target, robot
@@ -28,6 +28,7 @@ def run(
     noises: Sequence[float] = NOISES,
     seeds: Sequence[int] = (0, 1, 2),
     quick: bool = False,
+    refit: bool = False,
     budget_minutes: float | None = None,
 ) -> bool:
     """Measure the cells that are not finished yet, print their rows, write estimation.md and estimation.json.
@@ -42,6 +43,7 @@ def run(
         noises: of the sensors, in standard deviations of each channel.
         seeds: of recordings, noise and fits; the outermost of the four.
         quick: one tiny cell instead, in `estimation_quick/`.
+        refit: fit anew by trajectory where other code did, and keep the fits by softmax.
         budget_minutes: no further fit is begun after so long.
 
     Returns:
@@ -58,9 +60,11 @@ def run(
     complete = True
     try:
         for cell in cells:
-            stages = Stages(folder, str(cell), {"cell": asdict(cell), "settings": asdict(settings)}, budget)
+            facts = {"cell": asdict(cell), "settings": asdict(settings)}
+            stages = Stages(folder, str(cell), facts, budget, renew=TRAJECTORY if refit else None)
             if stages.finished() is None:
-                print(line(stages.finish(measure(cell, settings, stages))), flush=True)
+                measure(cell, settings, stages)
+                print(line(assemble(stages.finish())), flush=True)
     except OutOfTime:
         complete = False
     finished = _finished(folder, settings)
@@ -95,7 +99,7 @@ def _finished(folder: Path, settings: Settings) -> list[dict[str, Any]]:
     wanted = json.loads(json.dumps(asdict(settings)))
     paths = [p for p in folder.glob("*.json") if not p.name.endswith(".part.json")]
     cells = [read_json(path, SCHEMA_VERSION) for path in paths]
-    return sorted((c for c in cells if c["facts"].get("settings") == wanted), key=order)
+    return sorted((assemble(c) for c in cells if c["facts"].get("settings") == wanted), key=order)
 
 
 def _name(content: dict[str, Any]) -> str:

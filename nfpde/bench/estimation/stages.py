@@ -73,53 +73,86 @@ def _git(*arguments: str) -> str | None:
 
 
 class Stages:
-    """The stages of one cell; each is computed once and written to `<name>.part.json` at once.
+    """The stages of one cell; each is computed once, and all so far are written to `<name>.part.json` at once.
+
+    Every stage keeps the settings and the code that it was computed with. It is used again where its settings are the
+    same; and the code too, if the cell is not finished yet.
 
     Args:
         folder: of the cells.
         name: of the cell.
-        facts: what the cell is, JSON. A finished file with other settings is done anew; finished stages also when
-            the code is another.
+        facts: what the cell is, JSON.
         budget: checked before every stage.
+        renew: name of a stage that must be of the code as it is now, while all others may be older, also in a
+            finished cell; None for none.
     """
 
-    def __init__(self, folder: Path, name: str, facts: dict[str, Any], budget: Budget) -> None:
+    def __init__(
+        self, folder: Path, name: str, facts: dict[str, Any], budget: Budget, *, renew: str | None = None
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.path, self.part = folder / f"{name}.json", folder / f"{name}.part.json"
         self.facts = json.loads(json.dumps(facts))
-        self.budget = budget
+        self.budget, self.renew = budget, renew
         self.done: dict[str, Any] = {}
-        if self.part.is_file():
-            old = read_json(self.part, SCHEMA_VERSION)
-            if {k: old.get(k) for k in ("facts", "provenance")} == self._identity():
-                self.done = old["stages"]
+        self.asked: dict[str, None] = {}
+        for path in (self.path, self.part):
+            if path.is_file():
+                self.done |= self._usable(read_json(path, SCHEMA_VERSION)["stages"], finished=path == self.path)
 
     def finished(self) -> dict[str, Any] | None:
-        """The whole cell, where it was measured with these facts."""
+        """The content of the finished file, where it is one of these facts and nothing in it must be renewed."""
         if not self.path.is_file():
             return None
         content = read_json(self.path, SCHEMA_VERSION)
-        return content if content.get("facts") == self.facts else None
+        fresh = self.renew is None or content["stages"][self.renew]["provenance"] == provenance()
+        return content if fresh and content["facts"] == self.facts else None
 
-    def __call__(self, name: str, compute: Callable[[], Any]) -> Any:
+    def __call__(self, name: str, compute: Callable[[], Any], settings: Any = None) -> Any:
         """The stage's result, computed now or before.
+
+        Args:
+            name: of the stage.
+            compute: gives plain JSON values.
+            settings: what the result depends on, JSON; a stage with other ones is computed anew.
 
         Raises:
             OutOfTime: before it starts to compute.
         """
-        if name not in self.done:
+        settings = json.loads(json.dumps(settings))
+        self.asked[name] = None
+        if name not in self.done or self.done[name]["settings"] != settings:
             self.budget.check()
-            self.done[name] = json.loads(json.dumps(compute(), allow_nan=False))
-            content = {"schema_version": SCHEMA_VERSION, **self._identity(), "stages": self.done}
-            write_whole(self.part, json.dumps(content))
-        return self.done[name]
+            result = json.loads(json.dumps(compute(), allow_nan=False))
+            self.done[name] = {"settings": settings, "provenance": provenance(), "result": result}
+            write_whole(self.part, json.dumps(self._content()))
+        return self.done[name]["result"]
 
-    def finish(self, result: dict[str, Any]) -> dict[str, Any]:
-        """Write the cell and forget its stages."""
-        content = {"schema_version": SCHEMA_VERSION, **self._identity(), **result}
-        write_whole(self.path, json.dumps(content, allow_nan=False) + "\n")
+    def finish(self) -> dict[str, Any]:
+        """Write the finished file, with the stages that were asked for and in that order; returns its content."""
+        self.done = {name: self.done[name] for name in self.asked}
+        write_whole(self.path, json.dumps(self._content()) + "\n")
         self.part.unlink(missing_ok=True)
-        return json.loads(json.dumps(content))
+        return self._content()
 
-    def _identity(self) -> dict[str, Any]:
-        return {"facts": self.facts, "provenance": provenance()}
+    def _content(self) -> dict[str, Any]:
+        return {"schema_version": SCHEMA_VERSION, "facts": self.facts, "stages": self.done}
+
+    def _usable(self, stages: dict[str, Any], *, finished: bool) -> dict[str, Any]:
+        kept = {}
+        for name, stage in stages.items():
+            any_code = finished if self.renew is None else name != self.renew
+            if any_code or stage["provenance"] == provenance():
+                kept[name] = stage
+        return kept
+
+
+def results(content: dict[str, Any]) -> dict[str, Any]:
+    """The result of every stage of a file, by name."""
+    return {name: stage["result"] for name, stage in content["stages"].items()}
+
+
+def code_of(stage: dict[str, Any]) -> str:
+    """The commit that a stage was computed with, short."""
+    p = stage["provenance"]
+    return (p["commit"] or "unknown")[:10] + (" with changes" if p["uncommitted"] else "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -183,18 +184,16 @@ def _temperatures(cells: list[dict[str, Any]]) -> list[str]:
 
 
 def _origin(cells: list[dict[str, Any]], command: str) -> list[str]:
-    commits: dict[str, int] = {}
-    for cell in cells:
-        p = cell["provenance"]
-        text = f"{(p['commit'] or 'unknown')[:10]}" + (" with changes" if p["uncommitted"] else "")
-        commits[text] = commits.get(text, 0) + 1
+    texts = []
+    for method in ("trajectory", "softmax"):
+        counts = Counter(cell["code"][method] for cell in cells)
+        texts.append(f"{method} " + ", ".join(f"{code} ({n} cells)" for code, n in counts.items()))
     last = cells[-1]
-    counts = ", ".join(f"{text} ({n} cells)" for text, n in commits.items())
     load = np.median([c["trajectory"]["seconds"] / max(c["trajectory"]["cpu_seconds"], 1e-9) for c in cells])
     return [
-        f"`{command}`; code {counts}; settings {last['facts']['settings']}; versions "
-        f"{last['provenance']['versions']}; {last['provenance']['machine']}. Median wall seconds a CPU second: "
-        f"{load:.2f} (0.5 where two cores are free). Every cell is a file in `estimation/`."
+        f"`{command}`; code of {'; of '.join(texts)}; settings {last['settings']}; versions {last['versions']}; "
+        f"{last['machine']}. Median wall seconds a CPU second: {load:.2f} (0.5 where two cores are free). Every cell "
+        "is a file in `estimation/`."
     ]
 
 
