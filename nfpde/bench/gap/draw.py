@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,12 +103,12 @@ def draw_system(seed: int, index: int) -> System:
 
 def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System | None:
     effects = _effects(kind, first, rng)
-    robot = list(ROBOTS.values())[int(rng.integers(len(ROBOTS)))]
+    robot = _robot(effects, rng)
+    if robot is None:
+        return None
     xml = nominal_model(robot, rng)
     blank = Plant(xml, robot.control_dt)
     places = [entry(effect).places(blank.model, robot) for effect in effects]
-    if not all(places):
-        return None
     targets = [str(rng.choice(where)) for where in places]
     free = _free(blank, effects, targets, rng)
     base = {(f.field, f.element): f.true for f in free}
@@ -131,6 +132,16 @@ def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System |
     key["noise"] = {"qpos": noise.qpos.tolist(), "qvel": noise.qvel.tolist(), "grain": noise.grain}
     key["free"] = [asdict(f) for f in free]
     return System(robot, xml, free, hidden, runs, key)
+
+
+def _robot(effects: list[str], rng: np.random.Generator) -> Robot | None:
+    """A random one of the robots that have a place for every effect."""
+    fits = []
+    for robot in ROBOTS.values():
+        model = mujoco.MjModel.from_xml_path(str(robot.path))
+        if all(entry(effect).places(model, robot) for effect in effects):
+            fits.append(robot)
+    return fits[int(rng.integers(len(fits)))] if fits else None
 
 
 def _effects(kind: str, first: str | None, rng: np.random.Generator) -> list[str]:

@@ -57,7 +57,8 @@ def measure(
 
     `size` of a fault is the root mean square, over windows of ten steps and all channels, of what the fault changes
     over the spread of the noise, after the free constants have taken what they can; `raw_size` is before that.
-    `visible` says for each true value what a change by a tenth of its scale does, in the same unit.
+    `visible` says for each true value what a change by a tenth of its scale does, in the same unit, that neither the
+    free constants nor the other true values could do as well.
     """
     base = {(f.field, f.element): f.true for f in free}
     at = sizes.windows(runs, WINDOWS, rng)
@@ -84,12 +85,15 @@ def measure(
                 "scales": scales(fault.values),
                 "size": sizes.size(errors, spread, answers),
                 "raw_size": sizes.size(errors, spread),
+                "visible": {},
             }
         )
-        described[-1]["visible"] = {
-            name: _visible(xml, robot, base, faults, i, values, at, spread, described[-1]["size"])
-            for name, values in _changes(fault.values)
-        }
+        if "delay" in fault.values:  # its trace is in proportion to it
+            described[-1]["visible"]["delay"] = CHANGE * described[-1]["size"]
+    traces = _traces(xml, robot, base, faults, at)
+    for (i, name), trace in traces.items():
+        others = [other for key, other in traces.items() if key != (i, name)]
+        described[i]["visible"][name] = sizes.size(trace, spread, [*answers, *others])
     model = nominal.model
     moved = {model.actuator(i).name: model.joint(model.actuator_trnid[i, 0]).name for i in range(model.nactuator)}
     return {
@@ -156,19 +160,19 @@ def _changes(values: Values) -> Iterator[tuple[str, Values]]:
             yield name, {**values, name: value + CHANGE * scale[name]}
 
 
-def _visible(
-    xml: str,
-    robot: Robot,
-    base: dict[Any, float],
-    faults: Sequence[FaultKey],
-    i: int,
-    values: Values,
-    at: sizes.Windows,
-    spread: Array,
-    size: float,
-) -> float:
-    if "delay" in values:  # another delay has another memory; its trace is in proportion to it
-        return CHANGE * size
-    built = [f.build(values if j == i else None) for j, f in enumerate(faults)]
-    other = Plant(xml, robot.control_dt, base, built)
-    return sizes.size(sizes.predict(other, at, sizes.from_clean_moment, clean=True), spread)
+def _traces(
+    xml: str, robot: Robot, base: dict[Any, float], faults: Sequence[FaultKey], at: sizes.Windows
+) -> dict[tuple[int, str], Array]:
+    """What a change of each true value does to the predictions of the true robot; of delays, nothing is said.
+
+    Another delay has another memory, so that it cannot start from the same moments.
+    """
+    found = {}
+    for i, fault in enumerate(faults):
+        for name, values in _changes(fault.values):
+            if name == "delay":
+                continue
+            built = [f.build(values if j == i else None) for j, f in enumerate(faults)]
+            other = Plant(xml, robot.control_dt, base, built)
+            found[i, name] = sizes.predict(other, at, sizes.from_clean_moment, clean=True)
+    return found

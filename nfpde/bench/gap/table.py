@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nfpde.bench.gap.score import Row
-from nfpde.bench.gap.summary import by_effect, by_robot, by_size, confusion, figures, of_kind, rate, wilson
+from nfpde.bench.gap.summary import at_floor, by_effect, by_robot, by_size, confusion, figures, of_kind, rate, wilson
 
 INTRODUCTION = (
     "Robots with a hidden fault, recorded with noisy sensors and, in two systems of three, with masses and dampings "
@@ -16,7 +16,8 @@ INTRODUCTION = (
     "the effect named first is the hidden one or declares it indistinguishable; `alone` leaves those sets out. Sizes "
     "are root mean squares over windows of ten steps, over the noise of such a prediction, after the free parameters "
     "have taken what they can. Errors of values are relative to the value, of factors to their distance from 1, of "
-    "vectors to their length, where a tenth of that shows with ten standard errors. Gaps are shares of the gap before."
+    "vectors to their length, where a tenth of that shows with ten standard errors beside all other unknowns. Gaps are "
+    "shares of the gap before."
 )
 
 
@@ -27,6 +28,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
             {"name": name, "target": target, "value": value, "cases": n, "met": met}
             for name, target, value, n, met in figures(rows)
         ],
+        "at_floor": at_floor(rows),
         "by_size": by_size(rows),
         "by_effect": by_effect(rows),
         "by_robot": by_robot(rows),
@@ -59,6 +61,7 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             "",
             f"Right cause without the declared sets: {_percent(alone)}; effects in a set: {sets:.1f} on average. "
             f"More effects accepted than hidden: {_percent(extra)} of the cases that have one or two. "
+            f"Gap at most 1.2 noise floors in the end: {_percent(at_floor(rows))} of all but outsiders. "
             f"Simulated steps in all: {steps:.3g}. Cases right: {len(rows) - len(failed)} of {len(rows)}.",
             "",
             "## By size of the effect over the noise",
