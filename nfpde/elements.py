@@ -83,6 +83,11 @@ def element_ids(
     return np.array(ids, dtype=np.intp)
 
 
+def is_axis(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint id is that of a hinge or a slide, which have one degree of freedom."""
+    return 0 <= joint < model.njnt and int(model.jnt_type[joint]) in (2, 3)
+
+
 def joint_dofs(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
     """Degrees of freedom (indices into qvel) of the given joints."""
     return _spread(model, joints, model.jnt_dofadr, DOF_WIDTHS)

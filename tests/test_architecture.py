@@ -20,7 +20,8 @@ ROWS = [
     {"sim", "flow", "ot"},
     {"distribution"},
     {"corner", "benchmarks", "losses"},
-    {"estimation", "evaluate", "rl", "gap"},
+    {"estimation", "evaluate", "rl"},
+    {"gap"},
     {"bench"},
     {"cli"},
 ]

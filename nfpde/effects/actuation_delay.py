@@ -2,10 +2,12 @@
 
 from typing import ClassVar
 
+import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Effect, Quantity
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
 
 
 @register
@@ -22,6 +24,11 @@ class ActuationDelay(Effect):
     default_bounds: ClassVar[dict[str, tuple[float, float]]] = {"delay": (0.0, 0.1)}
     sentence = "Commands act late: communication and drive electronics hold them back."
     confounders = ("observation_delay", "actuator_lag")
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Up to a tenth of a second or five control steps, on one actuator or all."""
+        return {"delay": (0.0, min(1.0, max(0.1, 5 * scales.control_dt)))}
 
     def memory_time(self) -> float:
         """The longest delay [s]."""

@@ -24,12 +24,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.elements import actuator_ctrls, element_ids, joint_dofs, joint_qpos
+from nfpde.effects.scales import DataScales
+from nfpde.elements import actuator_ctrls, element_ids, element_names, joint_dofs, joint_qpos
 from nfpde.errors import BadEffect
 from nfpde.parameters import Parameter, Target
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Bounds = dict[str, tuple[float, float]]
+
+EVERY = -2
+"""Stands for all elements of a kind at once in `Effect.bounds_for`."""
+
+_SHARES = (0.04, 0.15, 0.5)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Quantity:
     """Where the effect vanishes; for a parameter that only shapes an effect (a speed scale), any typical value."""
     shape_only: bool = False
     """True for a parameter whose value alone cannot make the effect neutral or not."""
+    log: bool = False
+    """True for a ratio or a time scale that varies over decades: screened on a logarithmic scale."""
 
 
 @dataclass
@@ -91,6 +100,8 @@ class Effect:
     """What it is, for a roboticist."""
     confounders: ClassVar[tuple[str, ...]] = ()
     """Effects that explain much of the same data."""
+    whole: ClassVar[str] = "all"
+    """What an effect without a target acts on, in reports."""
 
     ids: Rows
     dofs: Rows
@@ -140,6 +151,71 @@ class Effect:
         if self.kind == "actuator":
             bound.ctrls = actuator_ctrls(model, bound.ids)
         return bound
+
+    @property
+    def place(self) -> str:
+        """What the effect acts on, in reports: the target's name, or what stands for all of them."""
+        if self.target is None:
+            return self.whole
+        return "all" if self.target == "*" else ", ".join(map(str, np.atleast_1d(np.array(self.target, dtype=object))))
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Bounds with which a diagnosis should try the effect on an element, or None where it makes no sense.
+
+        The base gives `default_bounds`, if they cover all parameters.
+
+        Args:
+            model: The nominal model.
+            element: Id of the element; -1 for an effect without target, `EVERY` for all elements of the kind at once.
+            scales: Typical magnitudes of the recordings: sizes are counted in these, never in absolute numbers.
+        """
+        complete = all(q.name in cls.default_bounds for q in cls.quantities)
+        return dict(cls.default_bounds) if complete and element != EVERY else None
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, scales: DataScales) -> list[Effect]:
+        """The effect on every element on which a diagnosis should try it."""
+        if cls.kind is None:
+            targets: list[tuple[Target, int]] = [(None, -1)]
+        else:
+            names = element_names(model, cls.kind)
+            targets = [(name, i) for i, name in enumerate(names)]
+            targets += [("*", EVERY)] if len(names) > 1 else []
+        found = []
+        for target, element in targets:
+            bounds = cls.bounds_for(model, element, scales)
+            if bounds is not None:
+                found.append(cls(target, **bounds))
+        return found
+
+    def screened(self, scales: DataScales) -> Array:
+        """Parameter values to try first, from small to large and in both directions, (K, P), inside the bounds.
+
+        The base moves one parameter at a time from neutral, by 4 %, 15 % and 50 % of the way to its bounds; the
+        parameters that only shape the effect stay in the middle of theirs.
+        """
+        low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
+        start = np.array([q.neutral for q in self.quantities])
+        for i, q in enumerate(self.quantities):
+            if q.shape_only:
+                start[i] = np.sqrt(low[i] * high[i]) if q.log and low[i] > 0 else 0.5 * (low[i] + high[i])
+        rows = []
+        for i, q in enumerate(self.quantities):
+            if q.shape_only:
+                continue
+            for end in (high[i], low[i]):
+                if np.isclose(end, q.neutral):
+                    continue
+                for share in _SHARES:
+                    row = start.copy()
+                    if q.log and min(end, q.neutral) > 0:
+                        row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
+                    else:
+                        row[i] = q.neutral + share * (end - q.neutral)
+                    rows.append(row)
+        margin = 1e-6 * (high - low)
+        return np.clip(np.array(rows), low + margin, high - margin)
 
     def active(self, values: Array) -> NDArray[np.bool_]:
         """Which rows of values (R, P) differ from neutral, (R,); only there do `command` and `step` run."""

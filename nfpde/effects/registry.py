@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import mujoco
+
 from nfpde.effects.effect import Effect
+from nfpde.effects.scales import DataScales
 from nfpde.errors import BadEffect
 from nfpde.parameters import Parameter, ParameterSpace, Target
 
@@ -45,6 +48,16 @@ def effect(name: str, target: Target = None, **bounds: Sequence[float]) -> Effec
     if name not in _REGISTRY:
         raise BadEffect(f"no effect is called {name!r}; known: {', '.join(effect_names())}")
     return _REGISTRY[name](target, **bounds)
+
+
+def all_candidates(model: mujoco.MjModel, scales: DataScales) -> list[Effect]:
+    """Every registered effect on every element of a model on which a diagnosis should try it.
+
+    Args:
+        model: The nominal model.
+        scales: Typical magnitudes of the recordings.
+    """
+    return [e for name in effect_names() for e in _REGISTRY[name].candidates(model, scales)]
 
 
 def effects_in(space: ParameterSpace) -> list[Effect]:

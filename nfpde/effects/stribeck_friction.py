@@ -2,10 +2,13 @@
 
 import math
 
+import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Effect, Quantity, Rows, World
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
 from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.elements import is_axis
 
 
 @register
@@ -29,6 +32,21 @@ class StribeckFriction(Effect):
     step_fields = ("dof_frictionloss",)
     sentence = "The joint sticks: it takes more torque to start moving than to keep moving."
     confounders = ("coulomb_friction", "load_friction", "backlash", "dead_zone")
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Friction up to three times the typical force of a hinge or slide; speeds below its typical speed."""
+        if not is_axis(model, element):
+            return None
+        dof = model.jnt_dofadr[element]
+        friction = (0.0, 3 * float(scales.force[dof]))
+        speed = float(scales.speed[dof])
+        return {"coulomb": friction, "static": friction, "speed": (0.003 * speed, 0.6 * speed)}
+
+    def screened(self, scales: DataScales) -> Array:
+        """Static friction alone, and twice the friction at rest, at two speeds each."""
+        most, speed = self.parameters[1].high, self.parameters[2].high
+        return np.array([[c * most, s * most, v * speed] for c, s in ((0.02, 0.06), (0.1, 0.2)) for v in (0.05, 0.3)])
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Set the friction level that belongs to the current speed."""

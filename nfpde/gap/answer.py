@@ -70,10 +70,10 @@ class Outcome:
         """The ladder at one horizon (an index), or over all."""
         count = len(self.recordings.horizons)
         columns = slice(None) if horizon is None else [horizon, count + horizon]
-        gaps = [self.yardstick.squares(r)[..., columns].mean() for r in (self.nominal, self.base.held, self.final.held)]
-        floor = (self.yardstick.variance / self.yardstick.scale**2)[:, columns].mean()
-        unit = max(float(gaps[0]), 1e-300)
-        return Level(1.0, float(gaps[1]) / unit, float(gaps[2]) / unit, float(floor) / unit)
+        stages = (self.nominal, self.base.held, self.final.held, self.yardstick.noise)
+        gaps = [float(self.yardstick.squares(r)[..., columns].mean()) for r in stages]
+        unit = max(gaps[0], 1e-300)
+        return Level(1.0, *(g / unit for g in gaps[1:]))
 
     def cause(self, effect: Effect, fit: Fit, before: Trial, after: Trial) -> Cause:
         """An effect as it stands in a fit; `before` and `after` are the models without and with it."""

@@ -15,9 +15,9 @@ from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit
 from nfpde.gap.fit import Fitter
-from nfpde.gap.levels import Yardstick, noise_variance, sensor_noise
+from nfpde.gap.levels import Yardstick, noise_residuals, sensor_noise
 from nfpde.gap.noise import floor_of, learn_scatter
-from nfpde.gap.recordings import MOST_WINDOWS, Recordings, cut_recordings
+from nfpde.gap.recordings import Recordings, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
 from nfpde.gap.select import Selection
@@ -34,7 +34,7 @@ def diagnose_gap(
     space: ParameterSpace | None = None,
     *,
     seed: int = 0,
-    windows: int = MOST_WINDOWS,
+    windows: int | None = None,
     nthread: int = 0,
     report: Callable[[str], None] = lambda what: None,
 ) -> GapReport:
@@ -48,7 +48,7 @@ def diagnose_gap(
         dataset: Recordings of one robot, best several episodes.
         space: Parameters that are free, with bounds; None where the model's own are trusted.
         seed: Decides which episodes are held out, and all draws.
-        windows: Windows used of each half, at most.
+        windows: Windows used of each half, at most; None: 80 to 200, fewer for models with many degrees of freedom.
         nthread: Threads; 0 takes all cores this process may use.
         report: Called with what is being done.
 
@@ -65,7 +65,9 @@ def diagnose_gap(
     dataset = start.sim.prepare(dataset)
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
-    recordings = cut_recordings(dataset, _history(candidates, dataset.control_dt), seed, windows)
+    recordings = cut_recordings(
+        dataset, _history(candidates, dataset.control_dt), seed, windows or windows_for(mjmodel.nv)
+    )
     check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
     nominal, base, court = _base_fit(start, recordings)
@@ -116,5 +118,5 @@ def _yardstick(base: Trial, trial: Trial, recordings: Recordings, seed: int) -> 
     """What counts as one unit of gap, and the noise of the sensors, as a trial's model sees them."""
     fit = trial.fit
     sigma = sensor_noise(fit.replay, fit.xi, recordings.rows)
-    variance = noise_variance(fit.replay, fit.xi, recordings.held, recordings, sigma, seed)
-    return Yardstick.of(variance, base.held), sigma
+    noise = noise_residuals(fit.replay, fit.xi, recordings.held, recordings, sigma, seed)
+    return Yardstick.of(noise, base.held), sigma

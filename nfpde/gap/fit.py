@@ -21,7 +21,7 @@ PRIOR = 0.5
 """Standard deviation of a parameter about the middle of its bounds, as a share of their width: weak, and enough to
 keep what the recordings say nothing about from wandering."""
 
-_DAMPINGS = np.array([0.1, 1.0, 10.0])
+_DAMPINGS = np.array([0.1, 10.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +85,15 @@ class Fitter:
         u = self._inside(fit.replay, fit.xi[None])[0]
         return replace(fit, scatter=scatter, cost=self._cost(u, fit.residuals, scatter))
 
-    def improve(self, fit: Fit, iterations: int) -> Fit:
-        """Up to `iterations` steps; stops when a step promises less than a hundredth of a nat."""
+    def improve(self, fit: Fit, iterations: int, kept: int = 0) -> Fit:
+        """Up to `iterations` steps; stops when a step promises less than a hundredth of a nat.
+
+        The slopes of the first `kept` parameters stay as they are: an effect that was added hardly changes those of
+        the base, and a step that they spoil is not taken.
+        """
         damping = 1e-2
         for _ in range(iterations if fit.replay.nfree else 0):
-            fit = self.linearise(fit)
+            fit = self.linearise(fit, kept)
             u = self._inside(fit.replay, fit.xi[None])[0]
             gradient = self._gradient(fit, u)
             trials = [self._trial(fit, u, gradient, damping * factor) for factor in _DAMPINGS]
@@ -112,18 +116,16 @@ class Fitter:
                 break
         return fit
 
-    def linearise(self, fit: Fit) -> Fit:
-        """Slopes and information at the fit's place."""
+    def linearise(self, fit: Fit, kept: int = 0) -> Fit:
+        """Slopes and information at the fit's place; the slopes of the first `kept` parameters stay as they are."""
         d = fit.replay.nfree
         u = self._inside(fit.replay, fit.xi[None])[0]
-        sign = np.where(u > 0.5, -1.0, 1.0)
-        moved = (
-            self._residuals(fit.replay, u + STEP * sign[:, None] * np.eye(d))
-            if d
-            else np.zeros((0, *fit.residuals.shape))
-        )
-        slopes = (moved - fit.residuals) / (STEP * sign[:, None, None, None])
-        slopes[~np.isfinite(slopes)] = 0.0
+        sign = np.where(u > 0.5, -1.0, 1.0)[kept:]
+        slopes = fit.slopes.copy()
+        if d > kept:
+            moved = self._residuals(fit.replay, u + STEP * sign[:, None] * np.eye(d)[kept:])
+            slopes[kept:] = (moved - fit.residuals) / (STEP * sign[:, None, None, None])
+            slopes[~np.isfinite(slopes)] = 0.0
         weight = fit.scatter.weights(fit.scatter.whiten(fit.residuals))
         white = _whiten_slopes(fit.scatter, slopes)
         information = np.einsum("dnvc,nv,envc->de", white, weight, white, optimize=True) + np.eye(d) / PRIOR**2

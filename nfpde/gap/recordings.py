@@ -23,6 +23,9 @@ MOST_STEPS, LEAST_STEPS = 60, 4
 MOST_WINDOWS = 200
 """Windows used of each half: more tell little that these do not."""
 
+LEAST_USED = 80
+"""Windows used of each half where the model has many degrees of freedom, each of which tells something."""
+
 BLOCK = 5
 """Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other."""
 
@@ -48,7 +51,12 @@ class Recordings:
     rows: Windows
 
 
-def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int = MOST_WINDOWS) -> Recordings:
+def windows_for(nv: int) -> int:
+    """Windows of each half for a model with nv degrees of freedom."""
+    return int(np.clip(2000 // max(nv, 1), LEAST_USED, MOST_WINDOWS))
+
+
+def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
     Args:

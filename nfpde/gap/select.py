@@ -162,9 +162,8 @@ class Selection:
 
 
 def key(effect: Effect) -> tuple[str, str]:
-    """Name and target."""
-    target = effect.target
-    return effect.name, "" if target is None else str(target)
+    """Name and place."""
+    return effect.name, effect.place
 
 
 def _parameters(trial: Trial) -> Sequence[object]:

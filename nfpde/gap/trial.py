@@ -26,6 +26,10 @@ APART = 0.025
 SHARE = 0.25
 """Candidates that could explain less than this share of what the best could are not refitted."""
 
+LEAST_GAIN = 5.0
+"""Log density [nats] that a candidate must gain on the windows it is fitted to for a closer look: with dozens of
+candidates that much comes by chance, and more is needed where no fit saw the data."""
+
 FIRST, SECOND = 10, 6
 """Candidates refitted roughly, and to the end."""
 
@@ -54,11 +58,11 @@ class Court:
     fitter: Fitter
     floor: Array
 
-    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4) -> Fit:
-        """Fit, learn the scatter from what is left, and again, until both agree."""
+    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
+        """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
         for _ in range(rounds):
             fit = self.fitter.rescale(fit, self.scatter(fit))
-            fit = self.fitter.improve(fit, iterations)
+            fit = self.fitter.improve(fit, iterations, kept)
         return self.fitter.rescale(fit, self.scatter(fit))
 
     def scatter(self, fit: Fit) -> Scatter:
@@ -78,10 +82,16 @@ class Court:
         rough = []
         for s in hopeful:
             guesses = np.hstack([np.broadcast_to(base.xi, (len(s.guesses), len(base.xi))), s.guesses])
-            fit = self.fitter.improve(self.fitter.start(s.replay, guesses, base.scatter), 2)
-            rough.append((s, self.fitter.rescale(fit, self.scatter(fit))))
+            fit = self.fitter.start(s.replay, guesses, base.scatter)
+            fit.slopes[: len(base.xi)] = base.slopes
+            fit = self.fitter.improve(fit, 2, kept=len(base.xi))
+            if base.cost - fit.cost > LEAST_GAIN:
+                rough.append((s, self.fitter.rescale(fit, self.scatter(fit))))
         rough.sort(key=lambda pair: pair[1].cost)
-        trials = [self.judge(s.effect, self.settle(fit)) for s, fit in rough[:SECOND]]
+        trials = []
+        for s, fit in rough[:SECOND]:
+            fit = self.fitter.improve(self.fitter.rescale(fit, self.scatter(fit)), 2)
+            trials.append(self.judge(s.effect, self.settle(fit, kept=len(base.xi))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
 
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:

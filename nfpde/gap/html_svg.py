@@ -1,0 +1,153 @@
+"""Small pieces of HTML and SVG: escaped text, numbers, colours, and an x-y panel."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from matplotlib.ticker import LogLocator, MaxNLocator
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def text(value: object) -> str:
+    """Anything as text that HTML cannot mistake for markup."""
+    return html.escape(str(value), quote=True)
+
+
+def number(value: float) -> str:
+    """Four significant digits; a dash for what is not a number."""
+    return f"{value:.4g}" if math.isfinite(value) else "–"
+
+
+def percent(value: float) -> str:
+    """A share in percent with two significant digits or more; a dash for what is not a number."""
+    if not math.isfinite(value):
+        return "–"
+    size = abs(100 * value)
+    if size >= 9.95:
+        return f"{100 * value:.0f} %"
+    return f"{100 * value:.1f} %" if size >= 0.995 or size == 0 else f"{100 * value:.2g} %"
+
+
+def shade(part: float) -> tuple[str, str]:
+    """Colour for 0 to 1 and the ink to write on it: lightness falls steadily, so colour-blind readers see the order."""
+    red, green, blue, _ = colormaps["YlOrBr"](0.05 + 0.75 * min(max(part, 0.0), 1.0))
+    dark = 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.5
+    return to_hex((red, green, blue)), "#fff" if dark else "#1a1a1a"
+
+
+@dataclass
+class Panel:
+    """An x-y picture in SVG that grows with its column.
+
+    Args:
+        x: range across.
+        y: range upward; of logarithms where `log`.
+        title: above the picture.
+        x_label: below the axis.
+        y_label: above the axis.
+        log: whether y counts powers of ten.
+        y_text: writes the numbers of the y axis.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    title: str
+    x_label: str
+    y_label: str = ""
+    log: bool = False
+    y_text: Callable[[float], str] = number
+    marks: list[str] = field(default_factory=list)
+
+    width, height = 380.0, 240.0
+    left, right, top, bottom = 52.0, 10.0, 40.0, 38.0
+
+    def across(self, x: float) -> float:
+        """Pixel of a value of x."""
+        low, high = self.x
+        return self.left + (self.width - self.left - self.right) * (x - low) / (high - low)
+
+    def upward(self, y: float) -> float:
+        """Pixel of a value of y."""
+        low, high = self.y
+        if self.log:
+            low, high, y = math.log10(low), math.log10(high), math.log10(min(max(y, low), high))
+        return self.height - self.bottom - (self.height - self.top - self.bottom) * (y - low) / (high - low)
+
+    def line(self, x: Array, y: Array, kind: str, dots: bool = False) -> None:
+        """Draw a curve of the CSS class `kind`; it breaks where a value is not finite."""
+        parts, pen = [], "M"
+        for a, b in zip(x.tolist(), y.tolist(), strict=True):
+            if not (math.isfinite(a) and math.isfinite(b)):
+                pen = "M"
+                continue
+            parts.append(f"{pen}{self.across(a):.1f} {self.upward(b):.1f}")
+            pen = "L"
+            if dots:
+                self.dot(a, b, kind)
+        self.marks.append(f'<path class="line {kind}" d="{"".join(parts)}"/>')
+
+    def dot(self, x: float, y: float, kind: str, radius: float = 2.6, note: str = "") -> None:
+        """Draw a dot; `note` shows under the pointer."""
+        inner = f"<title>{text(note)}</title>" if note else ""
+        self.marks.append(
+            f'<circle class="dot {kind}" cx="{self.across(x):.1f}" cy="{self.upward(y):.1f}" r="{radius}">{inner}'
+            "</circle>"
+        )
+
+    def bar(self, x: float, low: float, high: float, kind: str) -> None:
+        """Draw an error bar."""
+        at = f"{self.across(x):.1f}"
+        self.marks.append(f'<path class="bar {kind}" d="M{at} {self.upward(low):.1f}V{self.upward(high):.1f}"/>')
+
+    def svg(self) -> str:
+        """The picture."""
+        ticks = LogLocator(numticks=6) if self.log else MaxNLocator(5)
+        frame = []
+        for y in ticks.tick_values(*self.y):
+            if self.y[0] <= y <= self.y[1] * (1 + 1e-12):
+                at = self.upward(y)
+                frame.append(f'<path class="grid" d="M{self.left:.1f} {at:.1f}H{self.width - self.right:.1f}"/>')
+                frame.append(f'<text x="{self.left - 6:.1f}" y="{at + 4:.1f}" class="end">{self.y_text(y)}</text>')
+        floor = self.height - self.bottom
+        for x in MaxNLocator(5).tick_values(*self.x):
+            if self.x[0] <= x <= self.x[1]:
+                at = self.across(x)
+                frame.append(f'<path class="grid" d="M{at:.1f} {self.top:.1f}V{floor:.1f}"/>')
+                frame.append(f'<text x="{at:.1f}" y="{floor + 15:.1f}" class="mid">{number(x)}</text>')
+        middle = 0.5 * (self.left + self.width - self.right)
+        return (
+            f'<svg viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img" aria-label="{text(self.title)}">'
+            f'{"".join(frame)}{"".join(self.marks)}<text x="4" y="14" class="title">{text(_short(self.title))}</text>'
+            f'<text x="4" y="30">{text(self.y_label)}</text>'
+            f'<text x="{middle:.1f}" y="{self.height - 6:.1f}" class="mid">{text(self.x_label)}</text></svg>'
+        )
+
+
+def _short(title: str, most: int = 50) -> str:
+    return title if len(title) <= most else title[: most - 1] + "…"
+
+
+def span(*values: Array, pad: float = 0.06) -> tuple[float, float]:
+    """A range that holds all finite values, with some room."""
+    flat = np.concatenate([np.ravel(v) for v in values]) if values else np.zeros(0)
+    flat = flat[np.isfinite(flat)]
+    if not len(flat):
+        return 0.0, 1.0
+    low, high = float(flat.min()), float(flat.max())
+    room = pad * (high - low) or max(abs(high), 1.0) * 1e-3
+    return low - room, high + room
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
+    """A table that scrolls sideways on a narrow screen; cells are HTML already, heads plain text."""
+    top = "".join(f'<th scope="col">{text(h)}</th>' for h in head)
+    body = "".join(f"<tr>{''.join(f'<td>{c}</td>' for c in row)}</tr>" for row in rows)
+    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
