@@ -15,11 +15,13 @@ import pytest
 import nfpde
 from nfpde.dataset import Dataset, Episode
 from nfpde.errors import BadDataset, BadInput, CheckpointMismatch
-from nfpde.estimation import FitResult, NfpdeConfig, fit
+from nfpde.estimation import FitResult, NfpdeConfig
 from nfpde.losses import increment_scale
 from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import CallableSimulator
+
+fit = functools.partial(nfpde.fit, method="softmax")
 
 DT = 0.1
 SPACE = ParameterSpace([Parameter("stiffness", low=1.0, high=9.0), Parameter("offset", low=-1.0, high=1.0)])

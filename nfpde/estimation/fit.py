@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput
 from nfpde.estimation.config import NfpdeConfig, TrajectoryConfig
 from nfpde.estimation.nfpde import NfpdeTrainer
-from nfpde.estimation.result import FitResult
+from nfpde.estimation.result import FitResult, versions
 from nfpde.estimation.run import run_estimator
-from nfpde.estimation.trajectory import (
-    TrajectoryEstimator,
-    describe_robots,
-    make_problem,
-    mixture_of,
-    prior_density,
-    smoothing_matrix,
-)
+from nfpde.estimation.trajectory import make_problem
+from nfpde.estimation.trajectory.fit import fit_trajectory
 from nfpde.flow import build_flow
 from nfpde.losses import increment_scale
 from nfpde.sim import Simulator
@@ -39,8 +32,9 @@ def fit(
     simulator: Simulator,
     dataset: Dataset,
     *,
-    method: Method = "softmax",
+    method: Method = "trajectory",
     config: NfpdeConfig | TrajectoryConfig | None = None,
+    resolution: ArrayLike | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     quiet: bool = False,
@@ -50,11 +44,13 @@ def fit(
     Args:
         simulator: predicts; its `space` holds the parameters.
         dataset: recordings that fit the simulator.
-        method: `softmax` (Eq. 11) or `cai` (Eq. 10) of Takano et al., IROS 2024, Algorithm 1, which take every
-            transition for a robot of its own; or `trajectory`, which knows that a robot keeps its parameters for an
-            episode, learns the noise, and needs far fewer simulations. With `softmax` the temperature beta is found
-            from the data unless the settings give it: see `next_beta`.
-        config: settings of the method: `NfpdeConfig` or `TrajectoryConfig`; None for the defaults.
+        method: `trajectory`, which knows that a robot keeps its parameters for an episode, learns the noise, and needs
+            far fewer simulations; or, for comparison, `softmax` (Eq. 11) or `cai` (Eq. 10) of Takano et al., IROS
+            2024, Algorithm 1, which take every transition for a robot of its own. With `softmax` the temperature
+            beta is found from the data unless the settings give it: see `next_beta`.
+        config: settings of the method: `TrajectoryConfig` or `NfpdeConfig`; None for the defaults.
+        resolution: with `trajectory`, the smallest step that the sensors show: one number, or one for each channel of
+            a state difference (ndiff,), in the recorded units. No residual is believed below its rounding.
         seed: of everything random, from 0 to 2^63 - 1; equal seeds give equal results.
         out: folder for checkpoints and results. A run that was interrupted or killed goes on from there, to the
             same numbers as one that never stopped; a finished one is read back.
@@ -72,6 +68,8 @@ def fit(
     settings: NfpdeConfig | TrajectoryConfig = CONFIGS[method]() if config is None else config
     if not isinstance(settings, CONFIGS[method]):
         raise BadInput(f"the method {method} takes a {CONFIGS[method].__name__}, got a {type(config).__name__}")
+    if resolution is not None and not isinstance(settings, TrajectoryConfig):
+        raise BadInput(f"resolution means nothing to the method {method}; leave it out, or take trajectory")
     dataset = simulator.prepare(dataset)
     run = {
         "method": method,
@@ -83,7 +81,10 @@ def fit(
     }
     folder = None if out is None else Path(out)
     if isinstance(settings, TrajectoryConfig):
-        result = _fit_trajectory(simulator, dataset, settings, seed, run, folder, quiet)
+        problem = make_problem(simulator, dataset, settings.horizon, resolution)
+        if resolution is not None:
+            run["resolution"] = np.asarray(resolution).tolist()
+        result = fit_trajectory(problem, settings, seed, run, folder, quiet)
     else:
         result = _fit_transitions(simulator, dataset, settings, seed, run, folder, quiet)
     if folder is not None:
@@ -118,40 +119,5 @@ def _fit_transitions(
         ParameterDistribution(simulator.space, flow),
         ParameterDistribution(simulator.space, start),
         trainer.history,
-        {**run, "transitions": len(windows), "episodes": len(dataset), **counted, "versions": _versions()},
+        {**run, "transitions": len(windows), "episodes": len(dataset), **counted, "versions": versions()},
     )
-
-
-def _fit_trajectory(
-    simulator: Simulator,
-    dataset: Dataset,
-    config: TrajectoryConfig,
-    seed: int,
-    run: dict[str, Any],
-    out: Path | None,
-    quiet: bool,
-) -> FitResult:
-    problem = make_problem(simulator, dataset, config.horizon)
-    estimator = TrajectoryEstimator(problem, config, seed)
-    counted = run_estimator(estimator, simulator, run, out, quiet)
-    posteriors = estimator.posteriors()
-    smoothing, bandwidth = smoothing_matrix(posteriors)
-    space = simulator.space
-    found = {
-        "converged": estimator.converged,
-        "bandwidth": bandwidth,
-        "noise_degrees": estimator.noise.degrees,
-        "robots": describe_robots(space, problem, posteriors),
-    }
-    facts = {"transitions": len(problem.windows), "episodes": len(dataset), **counted, "versions": _versions()}
-    return FitResult(
-        ParameterDistribution(space, mixture_of(posteriors, smoothing)),
-        ParameterDistribution(space, prior_density(len(space))),
-        estimator.history,
-        {**run, **facts, **found},
-        ParameterDistribution(space, mixture_of(posteriors)),
-    )
-
-
-def _versions() -> dict[str, str]:
-    return {name: version(name) for name in ("nfpde", "mujoco", "torch", "zuko", "numpy")}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,11 @@ from nfpde.errors import BadInput
 from nfpde.storage import read_json, write_whole
 
 SCHEMA_VERSION = 1
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that the numbers depend on."""
+    return {name: version(name) for name in ("nfpde", "mujoco", "torch", "zuko", "numpy")}
 
 
 @dataclass(frozen=True)
@@ -23,8 +29,8 @@ class FitResult:
         initial: the distribution that the fit started from.
         history: one table of figures per iteration.
         info: method, settings, seed, counts, versions; with `trajectory` also what was found of each robot; JSON.
-        episodes: with `trajectory`, the equal mixture of the robots' own posteriors: the sharpest answer to which
-            robots made the recordings, where `distribution` is smoothed to cover robots not seen.
+        episodes: with `trajectory`, the equal mixture of the robots' posteriors: the sharpest answer to which robots
+            made the recordings, where `distribution` is the population, which covers robots not seen.
     """
 
     distribution: ParameterDistribution

@@ -1,6 +1,5 @@
 """The episode-level estimator: an episode has one robot, and all its transitions share one parameter vector."""
 
-from nfpde.estimation.trajectory.describe import describe_robots as describe_robots
 from nfpde.estimation.trajectory.estimator import TrajectoryEstimator as TrajectoryEstimator
 from nfpde.estimation.trajectory.modes import LocalPosterior as LocalPosterior
 from nfpde.estimation.trajectory.population import mixture_of as mixture_of

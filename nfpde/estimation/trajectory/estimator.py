@@ -15,7 +15,7 @@ from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
-from nfpde.estimation.trajectory.noise import PRECISION, Noise, learn_noise
+from nfpde.estimation.trajectory.noise import Noise, learn_noise
 from nfpde.estimation.trajectory.problem import Problem
 
 Array = NDArray[np.float64]
@@ -45,7 +45,6 @@ class TrajectoryEstimator:
     def __post_init__(self) -> None:
         self.robots = len(self.problem.members)
         self.noise = Noise(np.eye(self.problem.channels), 1e6)
-        self.floor = np.full(self.problem.channels, PRECISION)
 
     @property
     def title(self) -> str:
@@ -108,7 +107,7 @@ class TrajectoryEstimator:
         shares = 0.1 + 0.8 * qmc.Sobol(len(space), rng=self.seed).random(1 << (n - 1).bit_length())[:n]
         z = np.tile(space.to_unconstrained(space.low + shares * space.width), (self.robots, 1))
         c = start(self.problem, z, np.repeat(np.arange(self.robots), n), self.noise)
-        self.noise = learn_noise(c.residuals, 0, self.floor)
+        self.noise = learn_noise(c.residuals, 0, self.problem.floor)
         reweigh(c, self.noise)
         self.candidates = c
 
@@ -130,7 +129,7 @@ class TrajectoryEstimator:
         if c is None:
             return
         fitted = self.robots * len(self.problem.simulator.space)
-        self.noise = learn_noise([c.residuals[k] for k in self._best()], fitted, self.floor)
+        self.noise = learn_noise([c.residuals[k] for k in self._best()], fitted, self.problem.floor)
 
     def _best(self) -> NDArray[np.intp]:
         """Index of every robot's best candidate, (G,)."""

@@ -63,7 +63,7 @@ class Candidates:
 
 def start(problem: Problem, z: Array, robot: Index, noise: Noise) -> Candidates:
     """Evaluate starting points z (K, D)."""
-    residuals = problem.residuals(problem.simulator.space.to_physical(z), robot)
+    residuals = [r for part in problem.in_parts(z, robot) for r in part]
     k, d = z.shape
     return Candidates(
         robot,
@@ -91,8 +91,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
     A candidate has converged when its step promises to gain less than 1e-3 in cost, far below what any statistic
     can see.
     """
-    space = problem.simulator.space
-    d = len(space)
+    d = len(problem.simulator.space)
     for _ in range(iterations):
         active = np.flatnonzero(~c.done & np.isfinite(c.cost))
         if not len(active):
@@ -104,7 +103,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         steps = -np.linalg.solve(matrices, np.broadcast_to(gradient[:, None, :, None], (len(active), 3, d, 1)))[..., 0]
         trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
         flat = trials.reshape(-1, d)
-        residuals = problem.residuals(space.to_physical(flat), np.repeat(c.robot[active], 3))
+        residuals = [r for part in problem.in_parts(flat, np.repeat(c.robot[active], 3)) for r in part]
         costs = _costs(residuals, flat, noise).reshape(-1, 3)
         best = costs.argmin(1)
         # what the undamped quadratic model still promises, in cost
@@ -133,6 +132,9 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
             places is a jump, not a slope, and would pass for boundless information.
     """
     d = len(problem.simulator.space)
+    parts = problem.parts(c.robot[which], d)
+    if len(parts) > 1:
+        return np.concatenate([linearise(problem, c, noise, which[p], careful=careful) for p in parts])
     gradient = np.empty((len(which), d))
     ahead = _slopes(problem, c, which, STEP)
     behind = _slopes(problem, c, which, -STEP) if careful else ahead

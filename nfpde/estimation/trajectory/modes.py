@@ -45,7 +45,7 @@ class LocalPosterior:
     weights: share of each mode                                            (K,)
     means: the modes                                                       (K, D)
     covariances: inverse Gauss-Newton matrices, prior included             (K, D, D)
-    fisher: information of the recordings alone about z, at the best mode  (D, D)
+    fisher: information of the recordings alone about z, at every mode     (K, D, D)
     """
 
     weights: Array
@@ -64,5 +64,5 @@ def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
         covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
         evidence = -0.5 * c.cost[own] + 0.5 * np.linalg.slogdet(covariances)[1]
         weights = np.exp(evidence - evidence.max())
-        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, c.data_information[own[0]]))
+        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, c.data_information[own]))
     return result

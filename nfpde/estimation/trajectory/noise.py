@@ -11,9 +11,6 @@ from scipy.special import gammaln
 
 Array = NDArray[np.float64]
 
-PRECISION = 1e-9
-"""Smallest believable residual, in units of what a channel changes by: rounding errors of a simulation are larger."""
-
 _DEGREES = np.array([2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e6])
 """Degrees of freedom tried; the last is a Gaussian."""
 

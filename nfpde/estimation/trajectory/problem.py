@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset import Dataset, Windows
-from nfpde.errors import BadDataset
+from nfpde.errors import BadDataset, BadInput
 from nfpde.losses import increment_scale
 from nfpde.sim import Simulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+
+PRECISION = 1e-9
+"""Smallest believable residual, in units of what a channel changes by: rounding errors of a simulation are larger."""
+
+NUMBERS_AT_ONCE = 1 << 23
+"""Numbers in the residuals that one call of the simulator returns, about (64 MiB)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +32,7 @@ class Problem:
     names: label of every robot                                          (G,)
     members: indices of each robot's windows                             G arrays
     unit: what a residual of 1 stands for in each channel                (C,)
+    floor: residual below which no channel is believed, in units         (C,)
     """
 
     simulator: Simulator
@@ -31,6 +40,7 @@ class Problem:
     names: tuple[str, ...]
     members: tuple[Index, ...]
     unit: Array
+    floor: Array
 
     @property
     def channels(self) -> int:
@@ -49,12 +59,31 @@ class Problem:
         difference = self.simulator.states.difference(predicted, self.windows.target[window])
         return np.split(difference.reshape(len(vector), -1) / self.unit, np.cumsum(counts)[:-1])
 
+    def in_parts(self, z: Array, robot: Index) -> Iterator[list[Array]]:
+        """`residuals` of unconstrained vectors z (K, D), a part at a time, so that memory stays bounded."""
+        for part in self.parts(robot):
+            yield self.residuals(self.simulator.space.to_physical(z[part]), robot[part])
 
-def make_problem(simulator: Simulator, dataset: Dataset, horizon: int) -> Problem:
+    def parts(self, robot: Index, copies: int = 1) -> list[slice]:
+        """Cut K vectors, each simulated `copies` times on all windows of its robot, where memory asks for it."""
+        numbers = np.array([len(m) for m in self.members])[robot] * (self.channels * copies)
+        ends = np.flatnonzero(np.diff(np.cumsum(numbers) // NUMBERS_AT_ONCE)) + 1
+        edges = [0, *ends.tolist(), len(robot)]
+        return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolution: ArrayLike | None = None) -> Problem:
     """Cut a data set into windows that do not overlap and sort them by robot (by episode where robots have no label).
+
+    Args:
+        simulator: predicts.
+        dataset: recordings that fit it.
+        horizon: control steps in a window.
+        resolution: smallest step that the sensors show, one number or one per channel (ndiff,), in the recorded units.
 
     Raises:
         BadDataset: a robot whose episodes are all shorter than the horizon.
+        BadInput: a resolution that is negative, not finite or of another shape.
     """
     windows = dataset.windows(horizon, history=simulator.history_steps(dataset.control_dt))
     labels = [e.robot if e.robot is not None else f"episode {e.name}" for e in dataset]
@@ -65,4 +94,19 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int) -> Proble
     if short:
         raise BadDataset(f"{short[0]} has no window of {horizon} control steps; shorten the horizon or leave it out")
     unit = np.tile(increment_scale(simulator.states, windows), horizon)
-    return Problem(simulator, windows, names, members, unit)
+    floor = np.full(len(unit), PRECISION)
+    if resolution is not None:
+        # rounding to steps of r leaves errors that are uniform over a step: a standard deviation of r / sqrt(12)
+        floor = np.maximum(floor, np.tile(_steps(simulator, resolution), horizon) / np.sqrt(12.0) / unit)
+    return Problem(simulator, windows, names, members, unit, floor)
+
+
+def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:
+    channels = simulator.states.channels
+    steps = np.asarray(resolution, dtype=np.float64)
+    if steps.shape not in ((), (len(channels),)) or not (np.isfinite(steps) & (steps >= 0)).all():
+        raise BadInput(
+            f"resolution must be one number, or one for each of the {len(channels)} channels ({', '.join(channels)}), "
+            f"none negative; got {resolution!r:.200}"
+        )
+    return np.broadcast_to(steps, (len(channels),))

@@ -1,0 +1,173 @@
+"""Which population predicts robots that it has not seen: candidates, folds, held-out likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.estimation.trajectory.em import fit_mixture, spread_out
+from nfpde.estimation.trajectory.gaussians import Gaussians, joined
+from nfpde.estimation.trajectory.likelihood import Quadratic
+from nfpde.estimation.trajectory.modes import LocalPosterior
+from nfpde.estimation.trajectory.pool import Ratios
+from nfpde.estimation.trajectory.population import smoothing_matrix
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Fitter = Callable[[Index], Gaussians]
+
+FOLDS = 10
+"""Parts into which robots are divided; each part is predicted by the population of all others."""
+
+KERNELS = (0.2, 0.3, 0.5, 0.8)
+"""Widths tried of one Gaussian a robot, in standard deviations of the robots."""
+
+COMPONENTS, WIDTHS = (1, 2, 3, 5, 8), (0.2, 0.5)
+"""Numbers of Gaussians tried for the whole population, and their widths before anything is known."""
+
+FINALISTS = 4
+"""Candidates that are fitted again after more draws, `SMOOTHED` not counted."""
+
+MOST_KERNELS = 50
+"""Robots up to which a population of one Gaussian a robot is informed by itself; its cost grows with their cube."""
+
+SMOOTHED = "smoothed posteriors"
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A way to make a population out of robots, and how well it predicts others.
+
+    name: in words
+    whole: fitted to all robots
+    without: fitted to all but one fold's, for each fold
+    scores: log likelihood of each robot held out, above that under the uniform box [nats]     (G,)
+    """
+
+    name: str
+    whole: Gaussians
+    without: Sequence[Gaussians]
+    scores: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Competition:
+    """All candidates; the first is `SMOOTHED`."""
+
+    candidates: Sequence[Candidate]
+    fold: Index
+
+    @property
+    def winner(self) -> Candidate:
+        """The one with the best held-out likelihood.
+
+        The smoothed posteriors stay unless it gains more than the standard error of the gain over the robots.
+        """
+        first = self.candidates[0]
+        best = max(self.candidates, key=lambda c: float(c.scores.mean()))
+        gain = best.scores - first.scores
+        error = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else np.inf
+        return best if gain.mean() > error else first
+
+    @property
+    def finalists(self) -> list[str]:
+        """Names of the candidates that predict best."""
+        return [c.name for c in sorted(self.candidates, key=lambda c: -float(c.scores.mean()))[:FINALISTS]]
+
+    def others_of(self, g: int) -> Gaussians:
+        """The winning population without robot g (and those of its fold)."""
+        return self.winner.without[self.fold[g]]
+
+
+def compete(
+    posteriors: Sequence[LocalPosterior],
+    quadratics: Sequence[Quadratic],
+    ratios: Ratios,
+    among: Collection[str] | None = None,
+) -> Competition:
+    """Fit every candidate to all robots and to all but each fold, and score it on the robots left out.
+
+    Args:
+        posteriors: of two robots or more, with the uniform prior.
+        quadratics: their likelihoods.
+        ratios: what their recordings say.
+        among: names of the candidates that take part; None for all. `SMOOTHED` always does.
+    """
+    robots = len(posteriors)
+    fold = np.arange(robots) % min(robots, FOLDS)
+    best = np.array([p.means[0] for p in posteriors])
+    spread = np.sqrt(np.maximum(best.var(0, ddof=1), 1e-12))
+    smoothing, _ = smoothing_matrix(posteriors)
+    fitters: dict[str, Fitter] = {SMOOTHED: lambda own: kernels(posteriors, own, smoothing)}
+    if robots <= MOST_KERNELS:
+        for width in KERNELS:
+            kernel = np.diag((width * spread) ** 2)
+            fitters[f"a Gaussian for every robot, {width:g} of their spread wide"] = partial(
+                _informed, posteriors, quadratics, smoothing=kernel
+            )
+    least = robots - int((fold == 0).sum())
+    for k in COMPONENTS:
+        for width in WIDTHS if k > 1 else (1.0,):
+            prior = np.diag((width * spread) ** 2)
+            for tied in (True, False):
+                # a covariance of its own asks for more robots than numbers in it
+                if k > least if tied else (k == 1 or 2 * k * len(spread) > least):
+                    continue
+                name = "one Gaussian"
+                if k > 1:
+                    shape = "one shape" if tied else "own shapes"
+                    name = f"{k} Gaussians of {shape}, {width:g} of the spread wide at first"
+                fitters[name] = partial(_mixture, ratios, best / spread, spread, k=k, prior=prior, tied=tied)
+    candidates = []
+    for name, fitter in fitters.items():
+        if among is not None and name not in among and name != SMOOTHED:
+            continue
+        without = [fitter(np.flatnonzero(fold != f)) for f in range(fold.max() + 1)]
+        scores = np.array([ratios.log_evidence(g, without[fold[g]]) for g in range(robots)])
+        candidates.append(Candidate(name, fitter(np.arange(robots)), without, scores))
+    return Competition(candidates, fold)
+
+
+def kernels(posteriors: Sequence[LocalPosterior], robots: Index, smoothing: Array) -> Gaussians:
+    """The equal mixture of the robots' posteriors, every Gaussian widened by `smoothing` (D, D)."""
+    parts = [
+        Gaussians(posteriors[g].weights, posteriors[g].means, posteriors[g].covariances + smoothing) for g in robots
+    ]
+    return joined(parts, np.full(len(parts), 1 / len(parts)))
+
+
+def informed_kernels(
+    posteriors: Sequence[LocalPosterior], quadratics: Sequence[Quadratic], robots: Index, smoothing: Array
+) -> Gaussians:
+    """The same with every posterior informed by the population of the other robots, again and again.
+
+    It is expectation-maximisation with a smoothed maximisation step (Silverman, Jones, Wilson, Nychka, A smoothed EM
+    approach to indirect estimation problems, 1990), each robot being left out of its own prior.
+    """
+    parts = {g: kernels(posteriors, np.array([g]), smoothing) for g in robots}
+    if len(parts) < 2:
+        return parts[robots[0]]
+    for _ in range(3):
+        informed = {}
+        for g in robots:
+            others = [parts[o] for o in robots if o != g]
+            p = quadratics[g].times(joined(others, np.full(len(others), 1 / len(others)))).heaviest(8, 1e-3)
+            informed[g] = Gaussians(p.weights, p.means, p.covariances + smoothing)
+        parts = informed
+    return joined(list(parts.values()), np.full(len(parts), 1 / len(parts)))
+
+
+def _informed(
+    posteriors: Sequence[LocalPosterior], quadratics: Sequence[Quadratic], robots: Index, *, smoothing: Array
+) -> Gaussians:
+    return informed_kernels(posteriors, quadratics, robots, smoothing)
+
+
+def _mixture(
+    ratios: Ratios, places: Array, spread: Array, robots: Index, *, k: int, prior: Array, tied: bool
+) -> Gaussians:
+    return fit_mixture(ratios, robots, spread_out(places[robots], k) * spread, prior, tied=tied)

@@ -1,0 +1,38 @@
+"""How far the simulation is from the recordings in each channel, before and after the fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.estimation.trajectory.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+def channel_errors(problem: Problem, best: Array) -> dict[str, dict[str, float]]:
+    """Root mean square residual of every channel at the end of a window, in the recorded units.
+
+    Args:
+        problem: windows sorted by robot.
+        best: parameters of every robot, z, (G, D).
+
+    Returns:
+        For each channel `before` (every parameter in the middle of its bounds) and `after`; simulations that
+        diverged are left out.
+    """
+    robots = np.arange(len(best))
+    ndiff = problem.simulator.states.ndiff
+    errors = {}
+    for name, z in (("before", np.zeros_like(best)), ("after", best)):
+        squares = np.zeros(ndiff)
+        count = 0
+        for part in problem.in_parts(z, robots):
+            for r in part:
+                last = (r * problem.unit)[:, -ndiff:]
+                sound = np.isfinite(last).all(1)
+                squares += (last[sound] ** 2).sum(0)
+                count += int(sound.sum())
+        errors[name] = np.sqrt(squares / max(count, 1))
+    channels = problem.simulator.states.channels
+    return {c: {k: float(v[i]) for k, v in errors.items()} for i, c in enumerate(channels)}
