@@ -14,7 +14,7 @@ from nfpde.bench.estimation import bound, calibration, cell, grid, ranks, sensin
 from nfpde.bench.estimation.command import split
 from nfpde.benchmarks import collect, record, robot
 from nfpde.errors import BadInput
-from nfpde.estimation import NfpdeConfig, TrajectoryConfig
+from nfpde.estimation import NfpdeConfig, TrajectoryConfig, fit
 from nfpde.sim import MujocoSimulator, StateSpace
 
 torch.set_num_threads(1)
@@ -151,6 +151,27 @@ def test_bounds_of_a_pendulum(swings, pendulum):
     none = bound.information_bound(pendulum, data, truth, np.zeros(2))
     assert none.one_step is None
     np.testing.assert_array_equal(none.sensitivity, small.sensitivity)
+
+
+def test_friction_is_unknown_where_nothing_slides():
+    """The fit of the transitions that friction does not move finds it undetermined, and the torso's mass exactly."""
+    body = robot("walker2d")
+    data, truth = collect(body, "gaussian", episodes=2, steps=30, seed=1)
+    simulator = MujocoSimulator(body.path, body.space)
+    still = bound.unmoved(simulator, data, truth, parameter=6)
+    sliding = bound.information_bound(simulator, data, truth, np.zeros(18))
+    assert 0 < len(still) < len(data.transitions())
+    np.testing.assert_allclose(
+        [1 - len(still.subset([i for i, e in enumerate(still) if e.robot == name])) / (len(e) - 1) for name, e in
+         zip(data.names, data, strict=True)],
+        sliding.felt[:, 6],
+    )  # fmt: skip
+    result = fit(simulator, still, method="trajectory", quiet=True)
+    for found in result.info["robots"]:
+        friction, torso = (found["parameters"][body.space.names[i]] for i in (6, 0))
+        assert friction["cramer_rao"] is None
+        assert friction["known"] < 0.1  # the prior's width, but for sampling
+        assert torso["known"] > 0.99
 
 
 def test_marginal_likelihood_of_one_vector():
@@ -299,7 +320,12 @@ def finished_cell(**changes):
             },
             "residuals": {"fitted": [1e-20, 1e-20], "true": [1e-20, 1e-20]},
         },
-        "bound": {"one_step": None, "whole": None, "sensitivity": [[0.1, 0.0], [0.1, 0.1]]},
+        "bound": {
+            "one_step": None,
+            "whole": None,
+            "sensitivity": [[0.1, 0.0], [0.1, 0.1]],
+            "felt": [[1, 0.0], [1, 0.5]],
+        },
         "steps_per_core_second": 1e5,
         "settings": {},
         "code": {"softmax": "a", "trajectory": "b"},
@@ -333,13 +359,19 @@ def test_a_failure_names_the_parameter_that_the_recordings_do_not_tell():
     page = table.table([content], "command")
     assert "FAIL: ratio" in page
     assert "## Floor friction" in page
-    assert "| 0 0.1 | none 0.0005 | 10% 100% | 0.2 0 |" in page
+    assert "| 0% 50% | none 0.0005 | 10% 100% | 0.2 0 |" in page
+    assert "1 of 2 episodes leave it unknown" in page
 
 
 def test_a_local_minimum_is_told_from_ignorance():
     """A fit that explains its recording worse than the truth does sits in a local minimum."""
     content = finished_cell(cell={"robot": "hopper", "target": "mixture", "noise": 0.01, "seed": 0})
-    content["bound"] = {"one_step": [[0.01, 0.01]] * 2, "whole": [[0.01, 0.01]] * 2, "sensitivity": [[1, 1]] * 2}
+    content["bound"] = {
+        "one_step": [[0.01, 0.01]] * 2,
+        "whole": [[0.01, 0.01]] * 2,
+        "sensitivity": [[1, 1]] * 2,
+        "felt": [[1, 1]] * 2,
+    }
     content["trajectory"]["robots"]["value"] = [[0.9, 1.0], [0.5, 1.0]]
     content["trajectory"]["residuals"] = {"fitted": [0.9, 0.1], "true": [0.1, 0.1]}
     assert verdicts.local_minima(content) == [0]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.bench.estimation.sensing import channel_spread, move
+from nfpde.bench.estimation.sensing import apart, channel_spread, move
 from nfpde.dataset import Dataset, Windows
 from nfpde.losses import increment_scale
 from nfpde.sim import MujocoSimulator
@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 
 STEP = 1e-4
 """Finite difference, in widths of the bounds and in standard deviations of a channel."""
+
+UNFELT = 1e-6
+"""Changes below this, in increments over the box, are rounding errors: of a simulation over those of the step."""
 
 PRIOR_INFORMATION = 12.0
 """Inverse variance of the uniform prior, in widths of the bounds."""
@@ -39,6 +42,7 @@ class Bound:
     one_step: Array | None
     whole: Array | None
     sensitivity: Array
+    felt: Array
 
 
 def information_bound(simulator: MujocoSimulator, dataset: Dataset, truth: Truth, sigma: Array) -> Bound:
@@ -60,15 +64,35 @@ def information_bound(simulator: MujocoSimulator, dataset: Dataset, truth: Truth
     members = [np.flatnonzero(windows.episode == e) for e in range(len(dataset))]
     unit = increment_scale(simulator.states, windows)
     by_parameter = parameter_slopes(simulator, windows, truth.xi)
-    sensitivity = np.array([np.sqrt(((by_parameter[m] / unit[:, None]) ** 2).mean((0, 1))) for m in members])
+    size = np.sqrt(((by_parameter / unit[:, None]) ** 2).mean(1))
+    sensitivity = np.array([np.sqrt((size[m] ** 2).mean(0)) for m in members])
+    felt = np.array([(size[m] > UNFELT).mean(0) for m in members])
     if not sigma.any():
-        return Bound(None, None, sensitivity)
+        return Bound(None, None, sensitivity, felt)
     by_state = state_slopes(simulator, windows, truth.xi, channel_spread(simulator.states, dataset))
     one_step, whole = (
         np.array([_standard_errors(information(by_parameter[m], by_state[m], sigma, joint=joint)) for m in members])
         for joint in (False, True)
     )
-    return Bound(one_step, whole, sensitivity)
+    return Bound(one_step, whole, sensitivity, felt)
+
+
+def unmoved(simulator: MujocoSimulator, dataset: Dataset, truth: Truth, parameter: int) -> Dataset:
+    """The transitions that a parameter does not move at all at the true values, as recordings of their own.
+
+    Args:
+        simulator: of the robot.
+        dataset: recordings without noise, one episode for each robot.
+        truth: true parameters of the episodes.
+        parameter: its index.
+
+    Returns:
+        Episodes of one transition, labelled with the robot whose they are.
+    """
+    windows = dataset.transitions()
+    unit = increment_scale(simulator.states, windows)
+    slopes = parameter_slopes(simulator, windows, truth.xi)[:, :, parameter] / unit
+    return apart(dataset).subset(np.flatnonzero(np.sqrt((slopes**2).mean(1)) <= UNFELT).tolist())
 
 
 def information(by_parameter: Array, by_state: Array, sigma: Array, *, joint: bool) -> Array:

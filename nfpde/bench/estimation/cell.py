@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nfpde.bench.estimation.bound import information_bound
+from nfpde.bench.estimation.bound import information_bound, unmoved
 from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.estimation.stages import code_of, results
 from nfpde.bench.estimation.temperature import FACTORS, chosen, oracle, score
@@ -30,6 +30,7 @@ Stage = Callable[[str, Callable[[], Any], Any], Any]
 """Name, computation and settings of a part of the work; gives what it computed, now or in an earlier call."""
 
 SOFTMAX, TRAJECTORY = "softmax, ", "trajectory"
+STUCK = "without sliding"
 OWN = f"{SOFTMAX}own beta"
 
 
@@ -88,6 +89,8 @@ def measure(cell: Cell, settings: Settings, stage: Stage) -> None:
         stage(f"{SOFTMAX}{factor:g} x beta", lambda beta=beta: work.softmax(beta), by_softmax | {"beta": beta})
     stage(TRAJECTORY, work.trajectory, measured | asdict(settings.trajectory))
     stage("bound", work.bound, data)
+    if cell.noise == 0 and work.friction is not None:
+        stage(STUCK, work.stuck, data | asdict(settings.trajectory))
     stage("rate", work.rate, data)
 
 
@@ -106,6 +109,7 @@ def assemble(content: dict[str, Any]) -> dict[str, Any]:
         "softmax": {"fits": fits, "chosen": fits.index(chosen(fits)), "oracle": fits.index(oracle(fits))},
         "trajectory": found[TRAJECTORY],
         "bound": found["bound"],
+        STUCK: found.get(STUCK),
         "steps_per_core_second": found["rate"],
         "code": {"softmax": code_of(content["stages"][OWN]), "trajectory": code_of(content["stages"][TRAJECTORY])},
         "versions": content["stages"][TRAJECTORY]["provenance"]["versions"],
@@ -119,6 +123,12 @@ class _Work:
     def __init__(self, cell: Cell, settings: Settings) -> None:
         self.cell, self.settings = cell, settings
         self.body = robot(cell.robot)
+
+    @property
+    def friction(self) -> int | None:
+        """Index of the floor's friction among the parameters, if it is one."""
+        found = [i for i, name in enumerate(self.body.space.names) if name.startswith("geom_friction")]
+        return found[0] if found else None
 
     @cached_property
     def recorded(self) -> tuple[Dataset, Truth]:
@@ -168,6 +178,31 @@ class _Work:
     def bound(self) -> dict[str, Any]:
         found = information_bound(self.simulator, *self.recorded, self.measured[1])
         return {k: None if v is None else v.tolist() for k, v in vars(found).items()}
+
+    def stuck(self) -> dict[str, Any] | None:
+        """A fit of the transitions alone in which nothing slides: what they say of friction, and of all else."""
+        if self.friction is None:
+            return None
+        dataset = unmoved(self.simulator, *self.recorded, self.friction)
+        result = fit(
+            self.simulator,
+            dataset,
+            method="trajectory",
+            config=self.settings.trajectory,
+            seed=self.cell.seed,
+            quiet=True,
+        )
+        known, bounds = (
+            [[p[key] for p in r["parameters"].values()] for r in result.info["robots"]]
+            for key in ("known", "cramer_rao")
+        )
+        i = self.friction
+        return {
+            "transitions": [r["windows"] for r in result.info["robots"]],
+            "known": [row[i] for row in known],
+            "cramer_rao": [row[i] for row in bounds],
+            "others_known": [float(np.median(np.delete(row, i))) for row in known],
+        }
 
     def rate(self) -> float:
         """Simulated steps in a second of one core, the best of five, with all rows of a call at other parameters."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from nfpde.bench.estimation.verdicts import (
     OVER_BOUND,
     PAPER_SECONDS,
     RATIO,
+    UNKNOWN,
     Verdict,
     closeness,
     errors,
@@ -49,7 +51,7 @@ def line(cell: dict[str, Any]) -> str:
             f"{near['trajectory']:.3g}",
             f"{near['ratio']:.2g}",
             over,
-            f"{found['over_std']:.2f}",
+            f"{found['over_std']:.2f}" if key["noise"] else "",
             *(f"{far[k]:.3g}" for k in ("softmax", "trajectory", "population")),
             f"{first['million_steps']:.3g}",
             f"{own['million_steps']:.3g}",
@@ -130,36 +132,62 @@ def _failures(verdicts: list[tuple[dict[str, Any], Verdict]]) -> list[str]:
 
 
 def _friction(cells: list[dict[str, Any]]) -> list[str]:
-    """What every episode tells of the floor's friction: little or nothing where no foot slides."""
-    rows = []
+    """What every episode tells of the floor's friction: nothing where no foot slides."""
+    rows, controls, blind, episodes = [], [], 0, 0
     for cell in cells:
         at = [i for i, name in enumerate(cell["parameters"]) if name.startswith("geom_friction")]
         if not at:
             continue
-        i, robots = at[0], cell["trajectory"]["robots"]
-        felt = [s[i] for s in cell["bound"]["sensitivity"]]
+        i, robots, title = at[0], cell["trajectory"]["robots"], _title(cell)
         known = [k[i] for k in robots["known"]]
-        bound = ["none" if b[i] is None else f"{b[i] / cell['width'][i]:.2g}" for b in robots["cramer_rao"]]
+        blind, episodes = blind + sum(k < UNKNOWN for k in known), episodes + len(known)
+        bounds = [_in_widths(b[i], cell["width"][i]) for b in robots["cramer_rao"]]
         off = [abs(v[i] - t[i]) / cell["width"][i] for v, t in zip(robots["value"], robots["true"], strict=True)]
-        rows.append(
-            f"| {_title(cell)} | {' '.join(f'{s:.1g}' for s in felt)} | {' '.join(bound)} | "
-            f"{' '.join(f'{k:.0%}'.replace(' ', '') for k in known)} | {' '.join(f'{o:.2g}' for o in off)} |"
-        )
+        felt = _shares(f[i] for f in cell["bound"]["felt"])
+        rows.append(f"| {title} | {felt} | {' '.join(bounds)} | {_shares(known)} | {_numbers(off)} |")
+        stuck = cell.get("without sliding")
+        if stuck:
+            bounds = [_in_widths(b, cell["width"][i]) for b in stuck["cramer_rao"]]
+            transitions = " ".join(f"{n}" for n in stuck["transitions"])
+            shares = f"{_shares(stuck['known'])} | {_shares(stuck['others_known'])}"
+            controls.append(f"| {title} | {transitions} | {' '.join(bounds)} | {shares} |")
     if not rows:
         return []
+    control = [
+        "Control: the same recordings without the transitions in which anything slides, fitted alone.",
+        "",
+        "| cell | transitions left | bound | known of friction | median known of the other parameters |",
+        "|---|---|---|---|---|",
+        *controls,
+        "",
+    ]
     return [
         "## Floor friction, episode by episode",
         "",
-        "An episode in which nothing slides says nothing about friction. `felt`: change of the next state over the box "
-        "of frictions at the true parameters, in increments. From fit.json: `bound`, its Cramer-Rao bound in widths "
-        "of the box (none: not determined; the prior's standard deviation is 0.29), and `known`, the share of the "
-        "prior's width that the recordings took away. `off`: error, in widths.",
+        "A transition in which nothing slides says nothing about friction. `slides`: share of an episode's "
+        "transitions whose next state friction moves at all, at the true parameters. From fit.json: `bound`, its "
+        "Cramer-Rao bound in widths of the box (none: not determined; the prior's standard deviation is 0.29), and "
+        "`known`, the share of the prior's width that the recording took away. `off`: error, in widths. "
+        f"{blind} of {episodes} episodes leave it unknown (known below {UNKNOWN:.0%}).",
         "",
-        "| cell | felt | bound | known | off |",
+        "| cell | slides | bound | known | off |",
         "|---|---|---|---|---|",
         *rows,
         "",
+        *(control if controls else []),
     ]
+
+
+def _in_widths(bound: float | None, width: float) -> str:
+    return "none" if bound is None else f"{bound / width:.2g}"
+
+
+def _shares(values: Iterable[float]) -> str:
+    return " ".join(f"{v:.0%}" for v in values)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{v:.2g}" for v in values)
 
 
 def _temperatures(cells: list[dict[str, Any]]) -> list[str]:
