@@ -19,7 +19,7 @@ seen = sorted(p.name for p in pathlib.Path(".").iterdir())
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 out.mkdir()
 answer = {"schema": 1, "verdict": "no_gap", "effects": [], "where": [], "simulated_steps": 5,
-          "gap": {"before": 1.0, "after_effects": 0.5}, "seen": seen, "args": sys.argv[1:],
+          "gap": {"before": 1.0, "after_effects": 0.5, "horizons": {}}, "seen": seen, "args": sys.argv[1:],
           "cwd": os.getcwd(), "environment": sorted(os.environ)}
 (out / "diagnosis.json").write_text(json.dumps(answer))
 """

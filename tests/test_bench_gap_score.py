@@ -16,6 +16,7 @@ def key_of(kind, *faults, floor=0.1):
         "robot": "arm",
         "faults": list(faults),
         "noise_floor": floor,
+        "floor_by_step": [floor] * 25,
         "windows": 100,
         "actuators": {"motor1": "elbow", "motor2": "wrist"},
         "bodies": {"fore": "elbow", "hand": "wrist"},
@@ -44,7 +45,12 @@ def diagnosis(verdict, *effects, after=0.1, where="elbow"):
         "verdict": verdict,
         "effects": list(effects),
         "where": [{"joint": where, "share": 0.9, "regime": "slow"}],
-        "gap": {"before": 1.0, "after_effects": after},
+        "gap": {
+            "before": 1.0,
+            "after_effects": after,
+            "noise_floor": 0.08,
+            "horizons": {"1": {"before": 1.0, "after_effects": after}, "40": {"before": 1.0, "after_effects": 9.0}},
+        },
         "simulated_steps": 1000,
     }
 
@@ -62,7 +68,8 @@ def test_the_right_name_at_the_right_place_is_right():
     row = one(diagnosis("effects", effect("coulomb_friction", "elbow", torque=0.51), after=0.12))
     assert (row.right, row.cause, row.alone, row.place, row.reason) == (True, True, True, True, "")
     assert row.errors == {"torque": pytest.approx(0.02)}
-    assert row.after == pytest.approx(1.2)
+    assert row.after == pytest.approx(1.2)  # the horizon of 40 steps has no floor in the key
+    assert row.own_after == pytest.approx(1.5)
 
 
 def test_a_declared_set_counts_for_the_cause_and_not_alone():

@@ -57,6 +57,9 @@ def measure(
 
     `size` of a fault is the root mean square, over windows of ten steps and all channels, of what the fault changes
     over the spread of the noise, after the free constants have taken what they can; `raw_size` is before that.
+    `noise_floor` and `floor_by_step` are the shares of the nominal model's gap that the true robot leaves, predicted
+    from states as they were measured: over ten steps, and at each step. A smoother of the states can be below.
+
     `visible` says for each true value what a change by a tenth of its scale does, in the same unit, that neither the
     free constants nor the other true values could do as well.
     """
@@ -64,7 +67,9 @@ def measure(
     at = sizes.windows(runs, WINDOWS, rng)
     nominal, sound = Plant(xml, robot.control_dt), Plant(xml, robot.control_dt, base)
     floor, spread = sizes.floor_of(truth, at)
-    before = sizes.predict(nominal, at, sizes.from_reading, clean=False)
+    before = sizes.predict(nominal, at, sizes.from_reading, clean=False, steps=sizes.FAR)
+    by_step = sizes.floor_by_step(floor, before, at)
+    floor, spread, before = floor[:, : sizes.HORIZON], spread[: sizes.HORIZON], before[:, : sizes.HORIZON]
     scale = np.maximum(np.sqrt((before**2).mean(0)), spread)
     gaps = {
         "nominal": sizes.gap(before, scale),
@@ -102,6 +107,7 @@ def measure(
         "faults": described,
         "gap": gaps,
         "noise_floor": gaps["true"] / gaps["nominal"],
+        "floor_by_step": by_step,
         "windows": len(at.starts),
         "actuators": moved,
         "bodies": {model.body(b).name: _carrier(model, b) for b in range(1, model.nbody)},

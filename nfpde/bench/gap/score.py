@@ -45,7 +45,8 @@ class Row:
         set_size: effects in the first one's declared set.
         extra: effects that were accepted beyond the hidden ones.
         errors: relative errors of the fitted values that these recordings determine.
-        after: gap after the effects over the noise floor of the true robot, both as shares of the gap before.
+        after: gap after the effects over what the true robot leaves, both as shares of the gap before.
+        own_after: gap after the effects over the noise floor that the diagnosis itself states.
         seconds: wall time.
         steps: simulated steps.
         reason: why the case is not right; "" where it is.
@@ -68,6 +69,7 @@ class Row:
     extra: int = 0
     errors: dict[str, float] = field(default_factory=dict)
     after: float | None = None
+    own_after: float | None = None
     seconds: float = math.nan
     steps: float = 0.0
     reason: str = ""
@@ -108,7 +110,8 @@ def _fill(row: Row, key: Json, diagnosis: Json) -> None:
     row.named = [f"{e['effect']} @ {e['target']}" for e in effects]
     row.set_size = len(effects[0].get("indistinguishable", ())) + 1 if effects else 0
     row.extra = max(len(effects) - (0 if row.kind in ("none", "outsider") else len(faults)), 0)
-    row.after = _after(key, diagnosis["gap"])
+    row.after = after_over_floor(key, diagnosis["gap"])
+    row.own_after = _ratio(diagnosis["gap"].get("after_effects"), diagnosis["gap"].get("noise_floor"))
     if row.kind == "none":
         row.right = row.verdict == "no_gap" and not effects
         row.reason = "" if row.right else f"alarm: {row.verdict}"
@@ -184,12 +187,22 @@ def _joint(key: Json, name: str) -> str:
     return key["actuators"].get(name) or key["bodies"].get(name) or name
 
 
-def _after(key: Json, gap: Json) -> float | None:
-    """Share of the gap that is left over the share that the true robot leaves."""
-    before, after = gap.get("before"), gap.get("after_effects")
-    if not before or after is None:
-        return None
-    return (after / before) / max(key["noise_floor"], LEAST_FLOOR)
+def after_over_floor(key: Json, gap: Json) -> float | None:
+    """Gap that is left over what the true robot leaves, as shares of the gap before: geometric mean over horizons.
+
+    Of the horizons that the diagnosis reports, those count for which the key has a floor.
+    """
+    ratios = []
+    for horizon, level in gap["horizons"].items():
+        step = int(horizon)
+        if 1 <= step <= len(key["floor_by_step"]) and level["before"] > 0:
+            floor = max(key["floor_by_step"][step - 1], LEAST_FLOOR)
+            ratios.append(max(level["after_effects"] / level["before"], LEAST_FLOOR / 10) / floor)
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+def _ratio(part: float | None, whole: float | None) -> float | None:
+    return None if part is None or not whole else part / whole
 
 
 def value_errors(key: Json, fault: Json, effect: Json) -> dict[str, float]:

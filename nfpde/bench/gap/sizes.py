@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 HORIZON = 10
 """Control steps in a window."""
 
+FAR = 25
+"""Control steps of the farthest prediction whose noise floor is known."""
+
 LEAST = 1e-5
 """Noise counts as at least this share of a channel's spread: below it lie solvers and rounding, not sensors."""
 
@@ -37,33 +40,34 @@ class Windows:
 
 
 def windows(runs: Sequence[Run], most: int, rng: np.random.Generator) -> Windows:
-    """At most `most` windows of `HORIZON` steps, none before the third moment of its run."""
+    """At most `most` windows that have `FAR` steps left, none before the third moment of its run."""
     starts = [
         (i, k * run.stride, k)
         for i, run in enumerate(runs)
         for k in range(2, len(run.moments))
-        if k * run.stride + HORIZON < len(run.qpos)
+        if k * run.stride + FAR < len(run.qpos)
     ]
     chosen = rng.permutation(len(starts))[:most]
     return Windows(runs, [starts[i] for i in sorted(chosen)])
 
 
-def predict(plant: Plant, at: Windows, start: Start, *, clean: bool) -> Array:
-    """Prediction minus reading, (W, HORIZON, 2 nv): positions in tangent space, then velocities.
+def predict(plant: Plant, at: Windows, start: Start, *, clean: bool, steps: int = HORIZON) -> Array:
+    """Prediction minus reading, (W, steps, 2 nv): positions in tangent space, then velocities.
 
     Args:
         plant: what predicts.
         at: the windows.
         start: how it is put at the start of a window.
         clean: compare with readings without noise.
+        steps: control steps to predict, at most `FAR`.
     """
     nv = plant.model.nv
-    errors = np.zeros((len(at.starts), HORIZON, 2 * nv))
+    errors = np.zeros((len(at.starts), steps, 2 * nv))
     for w, (i, row, k) in enumerate(at.starts):
         run = at.runs[i]
         seen_q, seen_v = (run.clean_qpos, run.clean_qvel) if clean else (run.qpos, run.qvel)
         start(plant, run, row, k)
-        for step in range(HORIZON):
+        for step in range(steps):
             plant.advance(run.ctrl[row + step])
             qpos, qvel = plant.reading()
             mujoco.mj_differentiatePos(plant.model, errors[w, step, :nv], 1.0, seen_q[row + step + 1], qpos)
@@ -103,8 +107,8 @@ def without(number: int) -> Start:
 
 
 def floor_of(truth: Plant, at: Windows) -> tuple[Array, Array]:
-    """Errors of the true robot from measured states (W, H, C), and their spread by step and channel (H, C)."""
-    errors = predict(truth, at, from_moment, clean=False)
+    """Errors of the true robot from measured states (W, FAR, C), and their spread by step and channel (FAR, C)."""
+    errors = predict(truth, at, from_moment, clean=False, steps=FAR)
     spread = np.sqrt((errors**2).mean(0))
     return errors, np.maximum(spread, LEAST * channel_spread(at))
 
@@ -124,6 +128,13 @@ def channel_spread(at: Windows) -> Array:
 def gap(errors: Array, scale: Array) -> float:
     """Mean square of errors (W, H, C) in units of `scale` (H, C)."""
     return float(((errors / scale) ** 2).mean())
+
+
+def floor_by_step(floor: Array, before: Array, at: Windows) -> list[float]:
+    """Share of the gap that the true robot leaves at each step, from the true and the nominal errors (W, H, C)."""
+    scale = np.maximum(np.sqrt((before**2).mean(0)), LEAST * channel_spread(at))
+    left = ((floor / scale) ** 2).mean((0, 2))
+    return [float(x) for x in left / ((before / scale) ** 2).mean((0, 2))]
 
 
 def size(errors: Array, scale: Array, answers: Sequence[Array] = ()) -> float:

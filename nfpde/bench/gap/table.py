@@ -17,7 +17,7 @@ INTRODUCTION = (
     "are root mean squares over windows of ten steps, over the noise of such a prediction, after the free parameters "
     "have taken what they can. Errors of values are relative to the value, of factors to their distance from 1, of "
     "vectors to their length, where a tenth of that shows with ten standard errors beside all other unknowns. Gaps are "
-    "shares of the gap before."
+    "shares of the gap before; the true robot's is from states as measured, which a smoother of states can undercut."
 )
 
 
