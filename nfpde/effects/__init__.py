@@ -1,8 +1,23 @@
 """The effect library: physics that a nominal model may lack, one small file each, one registry."""
 
 from nfpde.effects import actuation_delay as actuation_delay
+from nfpde.effects import actuator_bias as actuator_bias
+from nfpde.effects import armature as armature
+from nfpde.effects import com_shift as com_shift
+from nfpde.effects import contact_softness as contact_softness
 from nfpde.effects import coulomb_friction as coulomb_friction
+from nfpde.effects import external_force as external_force
+from nfpde.effects import fluid_drag as fluid_drag
+from nfpde.effects import gravity_tilt as gravity_tilt
+from nfpde.effects import ground_friction as ground_friction
+from nfpde.effects import ground_height as ground_height
+from nfpde.effects import joint_spring as joint_spring
+from nfpde.effects import motor_strength as motor_strength
+from nfpde.effects import payload as payload
 from nfpde.effects import stribeck_friction as stribeck_friction
+from nfpde.effects import torque_limit as torque_limit
+from nfpde.effects import viscous_damping as viscous_damping
+from nfpde.effects import wind as wind
 from nfpde.effects.effect import Effect as Effect
 from nfpde.effects.effect import Quantity as Quantity
 from nfpde.effects.effect import World as World

@@ -63,6 +63,8 @@ class World:
     qvel: velocities                                         (R, nv)
     ctrl: commands of this physics step                      (R, nu)
     qfrc_applied: forces of effects, to be added to          (R, nv)
+    xfrc_applied: forces and torques of effects on bodies, at their centres of mass, in the world's frame, to be added
+      to                                                     (R, nbody, 6)
     fields: model fields an effect named in `step_fields`,
       reset before every step to the row's own, to be changed (R, ...)
     memory: what an effect keeps from step to step, empty at the start of every window
@@ -73,6 +75,7 @@ class World:
     qvel: Array
     ctrl: Array
     qfrc_applied: Array
+    xfrc_applied: Array
     fields: dict[str, Array] = field(default_factory=dict)
     memory: dict[object, Array] = field(default_factory=dict)
 

@@ -83,8 +83,9 @@ class LivePhysics:
         model, data = self.env.model, self.env.data
         data.qacc_warmstart[:] = 0.0
         data.qfrc_applied[:] = 0.0
+        data.xfrc_applied[:] = 0.0
         self._past = None
-        state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied"))
+        state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"))
         fields = {f: np.array(get_field(model, f))[None] for f in self._bound.step_fields}
         self._before_step = self._effects.before_step(World(model, *state, fields=fields))
 

@@ -105,7 +105,7 @@ class RowEffects:
         """`before_step` for the first n simulations of a batch; None if no effect acts there."""
         if not self._on_step:
             return None
-        state = (batch.bind(f)[:n] for f in ("qpos", "qvel", "ctrl", "qfrc_applied"))
+        state = (batch.bind(f)[:n] for f in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"))
         fields = {f: batch.expand(f)[:n] for f in self._bound.step_fields}
         return self.before_step(World(self._bound.model, *state, fields=fields))
 
@@ -142,5 +142,6 @@ class BeforeStep:
         for name, own in self.fields.items():
             self.world.fields[name][...] = own
         self.world.qfrc_applied[...] = 0.0
+        self.world.xfrc_applied[...] = 0.0
         for e, rows, values in self.acting:
             e.step(self.world, rows, values)

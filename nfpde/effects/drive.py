@@ -1,0 +1,129 @@
+"""Actuators that act on one hinge or slide, and the torque that MuJoCo will have them give there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects.effect import Array, Rows, World
+from nfpde.elements import actuator_ctrls, is_axis, joint_dofs, joint_qpos
+from nfpde.errors import BadEffect
+
+DRIVE_FIELDS = (
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_gear",
+    "actuator_forcerange",
+    "jnt_actfrclimited",
+    "jnt_actfrcrange",
+)
+"""Fields that decide the torque of an actuator: `step_fields` of effects that ask for it."""
+
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+
+
+def driven_joint(model: mujoco.MjModel, actuator: int) -> int:
+    """The hinge or slide that an actuator acts on, or -1 where it acts on anything else."""
+    if not 0 <= actuator < model.nactuator or int(model.actuator_trntype[actuator]) not in _JOINT:
+        return -1
+    joint = int(model.actuator_trnid[actuator, 0])
+    return joint if is_axis(model, joint) else -1
+
+
+def is_plain(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator drives a hinge or slide with one command, without a state, by fixed or affine gain and bias.
+
+    Those are motors, and position and velocity servos.
+    """
+    return (
+        driven_joint(model, actuator) >= 0
+        and int(model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        and int(model.actuator_ctrlnum[actuator]) == 1
+        and int(model.actuator_gaintype[actuator]) in _GAINS
+        and int(model.actuator_biastype[actuator]) in _BIASES
+    )
+
+
+def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether a plain actuator's force depends on the position: a position servo."""
+    affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return is_plain(model, actuator) and affine and model.actuator_biasprm[actuator, 1] != 0
+
+
+def is_speed_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether a plain actuator's force depends on the speed and not on the position: a velocity servo."""
+    affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    speed, position = model.actuator_biasprm[actuator, 2], model.actuator_biasprm[actuator, 1]
+    return is_plain(model, actuator) and affine and position == 0 and speed != 0
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """Plain actuators, and where their joints stand in the state; each (k,)."""
+
+    ids: Rows
+    joints: Rows
+    dofs: Rows
+    qposadr: Rows
+    ctrls: Rows
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, ids: Rows, where: str) -> Drives:
+        """Of actuator ids.
+
+        Raises:
+            BadEffect: one of them is no motor or servo on a hinge or slide.
+        """
+        for i in ids:
+            if not is_plain(model, int(i)):
+                raise BadEffect(
+                    f"{where}: actuator #{i} is no motor, position servo or velocity servo on a hinge or slide; "
+                    "target one that is"
+                )
+        joints = np.array([driven_joint(model, int(i)) for i in ids], dtype=np.intp)
+        return cls(ids, joints, joint_dofs(model, joints), joint_qpos(model, joints), actuator_ctrls(model, ids))
+
+    def clamped(self, model: mujoco.MjModel, ctrl: Array) -> Array:
+        """Their commands (..., k) within the range that MuJoCo clamps them to."""
+        if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
+            return ctrl
+        low, high = model.actuator_ctrlrange[self.ctrls].T
+        limited = model.actuator_ctrllimited[self.ctrls].astype(bool)
+        return np.where(limited, np.clip(ctrl, low, high), ctrl)
+
+    def field(self, world: World, name: str, rows: Rows) -> Array:
+        """A field of `DRIVE_FIELDS`, of these rows and actuators or their joints, (n, k, ...)."""
+        return world.fields[name][np.ix_(rows, self.joints if name.startswith("jnt") else self.ids)]
+
+    def torque(self, world: World, rows: Rows, position: Array | None = None, speed: Array | None = None) -> Array:
+        """Torque at the joint [Nm or N] in the next physics step, (n, k), each actuator for itself.
+
+        Args:
+            world: with `DRIVE_FIELDS`.
+            rows: of the world (n,).
+            position: of the joint as the actuator sees it (n, k); the joint's own if not given.
+            speed: of the joint as the actuator sees it (n, k); the joint's own if not given.
+        """
+        model = world.model
+        gear = self.field(world, "actuator_gear", rows)[..., 0]
+        length = gear * (world.qpos[np.ix_(rows, self.qposadr)] if position is None else position)
+        velocity = gear * (world.qvel[np.ix_(rows, self.dofs)] if speed is None else speed)
+        ctrl = self.clamped(model, world.ctrl[np.ix_(rows, self.ctrls)])
+        gain, bias = (self.field(world, f"actuator_{f}prm", rows) for f in ("gain", "bias"))
+        affine_gain = model.actuator_gaintype[self.ids] == int(mujoco.mjtGain.mjGAIN_AFFINE)
+        affine_bias = model.actuator_biastype[self.ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        force = ctrl * (gain[..., 0] + affine_gain * (gain[..., 1] * length + gain[..., 2] * velocity))
+        force = force + affine_bias * (bias[..., 0] + bias[..., 1] * length + bias[..., 2] * velocity)
+        limits = self.field(world, "actuator_forcerange", rows)
+        force = _limited(force, limits, model.actuator_forcelimited[self.ids].astype(bool))
+        limits = self.field(world, "jnt_actfrcrange", rows)
+        return _limited(gear * force, limits, self.field(world, "jnt_actfrclimited", rows).astype(bool))
+
+
+def _limited(force: Array, limits: Array, where: NDArray[np.bool_]) -> Array:
+    return np.where(where, np.clip(force, limits[..., 0], limits[..., 1]), force)

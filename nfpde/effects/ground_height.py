@@ -1,0 +1,57 @@
+"""Height of the ground."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.contacts import Index, touching
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.errors import BadEffect
+
+
+@register
+class GroundHeight(Effect):
+    """The geoms of the world that the robot can touch, raised: MuJoCo's `geom_pos`, added to."""
+
+    name = "ground_height"
+    kind = None
+    whole = "contact"
+    quantities = (Quantity("height", "m", -math.inf, math.inf, neutral=0.0),)
+    sentence = "The ground lies higher or lower than in the model, or the legs are longer or shorter."
+    confounders = ("contact_softness", "joint_offset")
+    ground: Index
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """A fifth of the robot's size up or down, where anything can touch the world."""
+        ground, robot, _ = touching(model)
+        far = 0.2 * scales.length
+        return {"height": (-far, far)} if len(ground) and len(robot) else None
+
+    def bind(self, model: mujoco.MjModel) -> Effect:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: nothing can touch the world.
+        """
+        bound = cast(GroundHeight, super().bind(model))
+        bound.ground = touching(model)[0]
+        if not len(bound.ground):
+            raise BadEffect(f"{self.name}: nothing in this model can touch the world")
+        return bound
+
+    def screened(self, scales: DataScales) -> Array:
+        """A little and more, up and down."""
+        far = self.parameters[0].high
+        return far * np.array([[0.01], [0.1], [-0.01], [-0.1]])
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Raise the ground."""
+        if values[0]:
+            model.geom_pos[self.ground, 2] += values[0]

@@ -1,0 +1,62 @@
+"""Encoders that count too much or too little."""
+
+from __future__ import annotations
+
+from typing import ClassVar, cast
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.elements import is_axis
+from nfpde.errors import BadEffect
+
+
+@register
+class SensorScale(Effect):
+    """The measured position and speed of a joint are the true ones times a scale.
+
+    What a servo feeds back is taken to be the true state: the scale is one of the recording.
+    """
+
+    name = "sensor_scale"
+    kind = "joint"
+    quantities = (Quantity("scale", "-", 1e-3, 1e3, neutral=1.0, log=True),)
+    default_bounds: ClassVar[Bounds] = {"scale": (0.6, 1.7)}
+    sentence = "The joint's sensor reports a fixed multiple of the motion: a wrong gear ratio or calibration."
+    confounders = ("motor_strength", "time_scale", "joint_offset")
+
+    nq: int
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """From 0.6 to 1.7 times, on one hinge or slide."""
+        return dict(cls.default_bounds) if is_axis(model, element) else None
+
+    def bind(self, model: mujoco.MjModel) -> Effect:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: a joint that is no hinge or slide.
+        """
+        bound = cast("SensorScale", super().bind(model))
+        if not all(is_axis(model, int(j)) for j in bound.ids):
+            raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
+        bound.nq = model.nq
+        return bound
+
+    def to_simulated(self, state: Array, values: Array) -> Array:
+        """Divide positions and speeds by the scale."""
+        out = np.array(state)
+        out[..., self.qposadr] /= values
+        out[..., self.nq + self.dofs] /= values
+        return out
+
+    def to_measured(self, state: Array, values: Array) -> Array:
+        """Multiply positions and speeds by the scale."""
+        out = np.array(state)
+        out[..., self.qposadr] *= values
+        out[..., self.nq + self.dofs] *= values
+        return out

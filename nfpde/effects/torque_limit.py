@@ -1,0 +1,76 @@
+"""A limit of the torque that an actuator brings to its joint."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.elements import is_axis
+from nfpde.errors import BadEffect
+
+_FREE = 1e12
+"""A limit that nothing reaches."""
+
+
+@register
+class TorqueLimit(Effect):
+    """The torque at the joint stays below a limit: MuJoCo's `jnt_actfrcrange`, which acts behind the gear.
+
+    Several actuators of one joint are limited together.
+    """
+
+    name = "torque_limit"
+    kind = "actuator"
+    quantities = (Quantity("limit", "Nm", 0.0, math.inf, neutral=_FREE, log=True),)
+    sentence = "The motor or its electronics cut the torque off at a limit."
+    confounders = ("torque_speed", "motor_strength", "dead_zone")
+    joints: Rows
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """From a tenth of the typical torque at the joint to ten times it."""
+        if element < 0 or _joint(model, element) < 0:
+            return None
+        torque = float(scales.actuator_force[element] * abs(model.actuator_gear[element, 0]))
+        return {"limit": (0.1 * torque, 10 * torque)} if torque > 0 else None
+
+    def screened(self, scales: DataScales) -> Array:
+        """Limits that cut off much, some and little."""
+        typical = 0.1 * self.parameters[0].high
+        return typical * np.array([[0.5], [0.8], [1.2], [1.7]])
+
+    def bind(self, model: mujoco.MjModel) -> TorqueLimit:
+        """See `Effect.bind`; the actuators must act on joints with a limited force range or none.
+
+        Raises:
+            BadEffect: an actuator that acts on no hinge or slide.
+        """
+        bound = cast(TorqueLimit, super().bind(model))
+        joints = [_joint(model, int(i)) for i in bound.ids]
+        if min(joints) < 0:
+            raise BadEffect(f"{self.name} on {self.target!r}: it needs actuators that act on a hinge or a slide")
+        bound.joints = np.array(joints, dtype=np.intp)
+        return bound
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Tighten the range of actuator forces of the joint."""
+        limit = float(values[0])
+        if limit >= _FREE:
+            return
+        limited = model.jnt_actfrclimited[self.joints].astype(bool)[:, None]
+        own = np.where(limited, model.jnt_actfrcrange[self.joints], [-np.inf, np.inf])
+        model.jnt_actfrcrange[self.joints] = np.clip(own, -limit, limit)
+        model.jnt_actfrclimited[self.joints] = 1
+
+
+def _joint(model: mujoco.MjModel, actuator: int) -> int:
+    """The hinge or slide that an actuator acts on; -1 if it acts on something else."""
+    joint = int(model.actuator_trnid[actuator, 0])
+    on_joint = int(model.actuator_trntype[actuator]) in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    return joint if on_joint and is_axis(model, joint) else -1

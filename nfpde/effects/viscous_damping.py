@@ -1,0 +1,33 @@
+"""Viscous damping of a joint."""
+
+import math
+
+import mujoco
+
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.elements import is_axis
+
+
+@register
+class ViscousDamping(Effect):
+    """A torque against the motion, in proportion to its speed: MuJoCo's `dof_damping`, added to."""
+
+    name = "viscous_damping"
+    kind = "joint"
+    quantities = (Quantity("damping", "Nms/rad", -math.inf, math.inf, neutral=0.0),)
+    sentence = "The joint is held back, or less than modelled, in proportion to its speed: grease, seals, back-EMF."
+    confounders = ("coulomb_friction", "torque_speed", "fluid_drag", "servo_gain")
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Down to no damping at all, up to three times the typical force at the typical speed."""
+        if not is_axis(model, element):
+            return None
+        dof = model.jnt_dofadr[element]
+        return {"damping": (-float(model.dof_damping[dof]), 3 * float(scales.force[dof] / scales.speed[dof]))}
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Add to the damping of the joint's degrees of freedom."""
+        model.dof_damping[self.dofs] += values[0]
