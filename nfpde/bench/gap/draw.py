@@ -123,7 +123,7 @@ def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System |
     noise = _noise(sound, pilot, rng)
     truth = Plant(xml, robot.control_dt, base, [h.build() for h in hidden])
     runs = _record(truth, robot, seed, noise)
-    if not all(np.isfinite(run.qpos).all() and np.abs(run.clean_qvel).max() < 100 for run in runs):
+    if not all(run.stable and np.abs(run.clean_qvel).max() < 100 for run in runs):
         return None
     faults = [FaultKey(h.effect, h.target, h.values, entry(h.effect).fault) for h in hidden]
     key = measure(xml, robot, free, faults, truth, runs, rng)

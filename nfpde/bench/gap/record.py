@@ -15,6 +15,8 @@ from nfpde.bench.gap.robots import Robot
 
 Array = NDArray[np.float64]
 
+_BLOWN_UP = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -45,6 +47,7 @@ class Run:
         dv: error of each measured velocity (R, nv).
         moments: moments of the robot, one every `stride` rows from row 0.
         stride: rows between moments.
+        stable: whether the physics stayed finite; MuJoCo starts anew where it does not, and goes on.
     """
 
     qpos: Array
@@ -56,6 +59,7 @@ class Run:
     dv: Array
     moments: Sequence[Moment]
     stride: int
+    stable: bool
 
 
 def episode(
@@ -91,7 +95,8 @@ def episode(
             rows[key].append(value)
         plant.advance(ctrl)
     arrays = {key: np.array(value) for key, value in rows.items()}
-    return Run(**arrays, moments=moments, stride=stride)
+    bad = sum(int(plant.data.warning[int(kind)].number) for kind in _BLOWN_UP)
+    return Run(**arrays, moments=moments, stride=stride, stable=bad == 0)
 
 
 def begin(plant: Plant, robot: Robot, start: tuple[Array, Array], ctrl: Array) -> None:

@@ -11,7 +11,7 @@ from nfpde.bench.gap.sizes import HORIZON
 
 Json = Mapping[str, Any]
 
-EVERYWHERE = ("", "all", "world", "contact", "ground")
+EVERYWHERE = ("", "all", "world", "contact", "floor")
 """Targets of effects that have only one place."""
 
 BY_CONVENTION = ("gravity_tilt", "joint_offset")
