@@ -310,7 +310,7 @@ def finished_cell(**changes):
             "seconds": 1.0,
             "cpu_seconds": 2.0,
             "rounds": 3,
-            "info": {"bandwidth": 0.5},
+            "info": {"population": {"chosen": "a Gaussian"}},
             "robots": {
                 "value": [[0.5, 1.0], [0.5, 1.0]],
                 "true": [[0.5, 1.0], [0.5, 1.0]],
@@ -361,6 +361,16 @@ def test_a_failure_names_the_parameter_that_the_recordings_do_not_tell():
     assert "## Floor friction" in page
     assert "| 0% 50% | none 0.0005 | 10% 100% | 0.2 0 |" in page
     assert "1 of 2 episodes leave it unknown" in page
+
+
+def test_a_population_too_wide_is_named():
+    """Farther from fresh draws than softmax: the reason gives what fresh draws themselves get, and which it is."""
+    content = finished_cell()
+    far = {"to_episodes": {"physical": 1.0}, "to_population": {"physical": 2.0}}
+    content["trajectory"]["population"] = far
+    assert failed(content) == {
+        "fresh": "OT to fresh draws 2, softmax 1; fresh draws of the truth are at 1; the population is a Gaussian"
+    }
 
 
 def test_a_local_minimum_is_told_from_ignorance():

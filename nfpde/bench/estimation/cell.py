@@ -164,13 +164,13 @@ class _Work:
         result, counts = self._fit("trajectory", self.settings.trajectory)
         answers = {"population": result.distribution, "episodes": result.episodes or result.distribution}
         robots = _robots(result, self.recorded[1])
-        kept = ("converged", "bandwidth", "noise_degrees", "simulated_steps", "seconds")
+        elsewhere = ("config", "space", "simulator", "dataset", "robots", "versions")
         return {
             **{name: _distances(self._evaluate(d), "estimate") for name, d in answers.items()},
             **counts,
             "rounds": len(result.history),
             "history": result.history,
-            "info": {k: result.info[k] for k in kept if k in result.info},
+            "info": {k: v for k, v in result.info.items() if k not in elsewhere},
             "robots": robots,
             "residuals": self._residuals(np.array(robots["value"])),
         }

@@ -123,7 +123,8 @@ class Stages:
         self.asked[name] = None
         if name not in self.done or self.done[name]["settings"] != settings:
             self.budget.check()
-            result = json.loads(json.dumps(compute(), allow_nan=False))
+            # what is not finite becomes null
+            result = json.loads(json.dumps(compute()), parse_constant=lambda _: None)
             self.done[name] = {"settings": settings, "provenance": provenance(), "result": result}
             write_whole(self.part, json.dumps(self._content()))
         return self.done[name]["result"]

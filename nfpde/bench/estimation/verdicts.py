@@ -108,9 +108,9 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
             verdicts.append(_verdict(name, over <= OVER_BOUND, text, [*_widths(cell, found), *why]))
     text = f"OT to fresh draws {far['trajectory']:.3g}, softmax {far['softmax']:.3g}"
     floor = [f"fresh draws of the truth are at {far['population']:.3g}"]
-    bandwidth = trajectory["info"].get("bandwidth")
-    if bandwidth is not None:
-        floor.append(f"smoothed by {bandwidth:.2g} standard deviations of the robots")
+    population = trajectory["info"].get("population")
+    if population is not None:
+        floor.append(f"the population is {population['chosen']}")
     verdicts.append(_verdict("fresh", far["trajectory"] <= far["softmax"], text, floor))
     if robot in PAPER_SECONDS:
         mine, paper = seconds(cell, trajectory), PAPER_SECONDS[robot]
