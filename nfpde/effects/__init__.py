@@ -2,6 +2,7 @@
 
 from nfpde.effects import actuation_delay as actuation_delay
 from nfpde.effects import actuator_bias as actuator_bias
+from nfpde.effects import actuator_lag as actuator_lag
 from nfpde.effects import armature as armature
 from nfpde.effects import com_shift as com_shift
 from nfpde.effects import contact_softness as contact_softness
@@ -11,10 +12,14 @@ from nfpde.effects import fluid_drag as fluid_drag
 from nfpde.effects import gravity_tilt as gravity_tilt
 from nfpde.effects import ground_friction as ground_friction
 from nfpde.effects import ground_height as ground_height
+from nfpde.effects import joint_offset as joint_offset
 from nfpde.effects import joint_spring as joint_spring
 from nfpde.effects import motor_strength as motor_strength
+from nfpde.effects import observation_delay as observation_delay
 from nfpde.effects import payload as payload
+from nfpde.effects import sensor_scale as sensor_scale
 from nfpde.effects import stribeck_friction as stribeck_friction
+from nfpde.effects import time_scale as time_scale
 from nfpde.effects import torque_limit as torque_limit
 from nfpde.effects import viscous_damping as viscous_damping
 from nfpde.effects import wind as wind

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import mujoco
 
@@ -15,7 +16,10 @@ from nfpde.parameters import Parameter, ParameterSpace, Target
 _REGISTRY: dict[str, type[Effect]] = {}
 
 
-def register(cls: type[Effect]) -> type[Effect]:
+Registered = TypeVar("Registered", bound=type[Effect])
+
+
+def register(cls: Registered) -> Registered:
     """Class decorator: make an effect known by its name.
 
     Raises:
