@@ -38,3 +38,26 @@ def _delay_commands(
         older = signal_out[worldid, wp.max(s - whole - 1, 0), ctrlid]
         signal_out[worldid, s, ctrlid] = (1.0 - share) * newer + share * older
         s -= 1
+
+
+@wp.kernel(enable_backward=False)
+def _offset_commands(
+    # In:
+    values_in: wp.array2d[wp.float64],
+    active_in: wp.array2d[int],
+    world_row_in: wp.array[int],
+    ctrlid_in: wp.array[int],
+    first_in: int,
+    effect_in: int,
+    timestep_in: wp.float64,
+    # Out:
+    signal_out: wp.array3d[float],
+):
+    """Actuator bias: add a constant."""
+    worldid, i = wp.tid()
+    row = world_row_in[worldid]
+    if active_in[row, effect_in] == 0:
+        return
+    offset = float(values_in[row, first_in])
+    for s in range(signal_out.shape[1]):
+        signal_out[worldid, s, ctrlid_in[i]] += offset

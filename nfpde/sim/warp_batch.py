@@ -16,7 +16,7 @@ from nfpde.kernels import loss as loss_kernels
 from nfpde.kernels import rows, states
 from nfpde.sim.simulator import LOSS_LIMIT
 from nfpde.sim.states import StateSpace
-from nfpde.sim.warp_effects import Staged, Step, WarpEffects
+from nfpde.sim.warp_effects import Staged, WarpEffects
 from nfpde.sim.warp_model import WarpModel
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ class WarpBatch:
             self._step = wp.zeros(1, dtype=int)
             self._overflow = wp.zeros(1, dtype=int)
             self._static_geoms = wp.array(model.static_geoms, dtype=int)
-            self._places = effects.places()
+            self._elements = effects.elements()
         self._graph: Any = None
 
     def stage(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32], windows: Windows) -> None:
@@ -195,7 +195,7 @@ class WarpBatch:
                 inputs=[self._ctrl, self._world_window, z.nsub],
                 outputs=[self._signal],
             )
-            self._effects.change_commands(self._places, self._staged, self._signal)
+            self._effects.change_commands(self._elements, self._staged, self._signal)
 
     def _control_step(self) -> None:
         z, nx = self.sizes, self._space.nx
@@ -231,7 +231,8 @@ class WarpBatch:
             for name in self._model.step_fields:
                 self._gather(name, self._model.columns[name], self._staged.world_row)
             d.qfrc_applied.zero_()
-            self._effects.before_step(self._places, Step(self.m, d, self._fields, self._staged))
+            d.xfrc_applied.zero_()
+            self._effects.before_step(self._elements, self._staged, d, self._fields)
         mjw.step(self.m, d)
         wp.launch(
             states._flag_divergence,

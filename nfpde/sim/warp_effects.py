@@ -5,7 +5,7 @@ Effects that only write fields of the model need none: `ModelWriter` writes them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
-from nfpde.kernels import commands, friction
+from nfpde.kernels import commands, forces, friction
 from nfpde.sim.acting import effect_columns
 
 Array = NDArray[np.float64]
@@ -31,45 +31,42 @@ class Staged:
     active: wp.array
     world_row: wp.array
 
-
-@dataclass
-class Step:
-    """What a step effect may read and change before a physics step."""
-
-    m: mjw.Model
-    d: mjw.Data
-    fields: dict[str, wp.array]
-    """The fields of `step_fields`, as (nworld, numbers)."""
-    staged: Staged
+    def arrays(self) -> list[wp.array]:
+        """As kernels take them."""
+        return [self.values, self.active, self.world_row]
 
 
-@dataclass
-class Place:
-    """Where an effect's parameters stand, and which elements it acts on, on the device."""
+@dataclass(frozen=True)
+class StepKernel:
+    """The kernel of an effect before every physics step.
 
-    effect: int
-    """Its column of `active`."""
-    first: int
-    """Its first column of `values`."""
-    dofs: wp.array
-    ctrls: wp.array
+    Its arguments are, in order: what it reads, the staged values, `active` and `world_row`, the ids of the elements
+    it acts on, the first column of its values, its column of `active`, and what it changes.
 
+    kernel: launched for every world and element
+    ids: attributes of a bound effect with the elements it acts on, all of one length
+    reads: arrays of mjw.Data
+    changes: arrays of mjw.Data, or model fields among the effect's `step_fields`, as (nworld, numbers) of floats
+    """
 
-def _stribeck(place: Place, step: Step) -> None:
-    s = step.staged
-    wp.launch(
-        friction._add_stribeck_friction,
-        dim=(step.d.nworld, place.dofs.size),
-        inputs=[step.d.qvel, s.values, s.active, s.world_row, place.dofs, place.first, place.effect],
-        outputs=[step.fields["dof_frictionloss"]],
-    )
+    kernel: Any
+    ids: tuple[str, ...]
+    reads: tuple[str, ...]
+    changes: tuple[str, ...]
 
 
-COMMANDS: dict[str, Any] = {"actuation_delay": commands._delay_commands}
+COMMANDS: dict[str, Any] = {
+    "actuation_delay": commands._delay_commands,
+    "actuator_bias": commands._offset_commands,
+}
 """Effects on commands; all kernels have the same arguments, see `nfpde.kernels.commands`."""
 
-STEPS: dict[str, Callable[[Place, Step], None]] = {"stribeck_friction": _stribeck}
-"""Effects before every physics step: what launches their kernel."""
+STEPS: dict[str, StepKernel] = {
+    "external_force": StepKernel(forces._push_bodies, ("ids",), (), ("xfrc_applied",)),
+    "joint_spring": StepKernel(forces._pull_joints, ("dofs", "qposadr"), ("qpos",), ("qfrc_applied",)),
+    "stribeck_friction": StepKernel(friction._add_stribeck_friction, ("dofs",), ("qvel",), ("dof_frictionloss",)),
+}
+"""Effects before every physics step."""
 
 
 class WarpEffects:
@@ -103,29 +100,42 @@ class WarpEffects:
             active[:, i] = e.active(xi[:, c])
         return np.ascontiguousarray(xi[:, self.nbase :]), active
 
-    def places(self) -> list[Place]:
-        """Each effect's place, on Warp's current device."""
-        return [
-            Place(i, c.start - self.nbase, _ids(e, "dofs"), _ids(e, "ctrls"))
-            for i, (e, c) in enumerate(zip(self.effects, self.columns, strict=True))
-        ]
+    def elements(self) -> list[list[wp.array]]:
+        """Of every effect the ids of the elements its kernels act on, on Warp's current device."""
+        found = []
+        for e in self.effects:
+            names = STEPS[e.name].ids if e.name in STEPS else ("ctrls",) if e.name in COMMANDS else ()
+            found.append([wp.array(np.asarray(getattr(e, n), np.int32), dtype=int) for n in names])
+        return found
 
-    def change_commands(self, places: list[Place], staged: Staged, signal: wp.array) -> None:
+    def change_commands(self, elements: list[list[wp.array]], staged: Staged, signal: wp.array) -> None:
         """Let the effects change the commands of all physics steps, (nworld, S, nu)."""
         for i in self.on_command:
-            place = places[i]
-            inputs = [staged.values, staged.active, staged.world_row, place.ctrls, place.first, i, self.timestep]
-            kernel = COMMANDS[self.effects[i].name]
-            wp.launch(kernel, dim=(signal.shape[0], place.ctrls.size), inputs=inputs, outputs=[signal])
+            (ctrls,) = elements[i]
+            wp.launch(
+                COMMANDS[self.effects[i].name],
+                dim=(signal.shape[0], ctrls.size),
+                inputs=[*staged.arrays(), ctrls, self._first(i), i, self.timestep],
+                outputs=[signal],
+            )
 
-    def before_step(self, places: list[Place], step: Step) -> None:
+    def before_step(
+        self, elements: list[list[wp.array]], staged: Staged, d: mjw.Data, fields: dict[str, wp.array]
+    ) -> None:
         """Let the effects act before a physics step, after fields and forces were put back."""
         for i in self.on_step:
-            STEPS[self.effects[i].name](places[i], step)
+            step = STEPS[self.effects[i].name]
+            reads = [getattr(d, name) for name in step.reads]
+            wp.launch(
+                step.kernel,
+                dim=(d.nworld, elements[i][0].size),
+                inputs=[*reads, *staged.arrays(), *elements[i], self._first(i), i],
+                outputs=[fields[name] if name in fields else getattr(d, name) for name in step.changes],
+            )
 
-
-def _ids(effect: Effect, name: str) -> wp.array:
-    return wp.array(np.asarray(getattr(effect, name, ()), np.int32), dtype=int)
+    def _first(self, effect: int) -> int:
+        """Its first column of the staged values."""
+        return self.columns[effect].start - self.nbase
 
 
 def _refuse_without_kernel(effect: Effect) -> None:

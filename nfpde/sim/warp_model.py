@@ -21,7 +21,12 @@ from nfpde.sim.writer import ModelWriter
 
 Array = NDArray[np.float64]
 
-UNUSED = frozenset({"dof_M0", "dof_length", "actuator_length0", "body_margin", "bvh_aabb"})
+UNUSED = frozenset(
+    {
+        *("dof_M0", "dof_length", "actuator_length0", "body_margin", "bvh_aabb"),
+        *("body_sameframe", "geom_sameframe", "site_sameframe"),
+    }
+)
 """Constants that mj_setConst derives and MuJoCo Warp does not read, or derives itself."""
 
 _PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
