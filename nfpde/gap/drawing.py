@@ -57,7 +57,7 @@ def project(model: mujoco.MjModel) -> Skeleton:
     toward = np.cross(right, up)
     order = sorted(range(len(solids)), key=lambda i: float((solids[i] @ toward).mean()))
     flat, kept = [_hull(solids[i] @ axes) for i in order], [fixed[i] for i in order]
-    shown = np.vstack([points @ axes])
+    shown = points @ axes
     low, high = shown.min(0), shown.max(0)
     reach = 0.6 * max(float((high - low).max()), 1e-6)
     near = [not f or bool(((p > low - reach) & (p < high + reach)).all()) for p, f in zip(flat, kept, strict=True)]
@@ -134,6 +134,7 @@ def _surface(model: mujoco.MjModel, g: int) -> Array | None:
     """Points whose convex hull is the geom, in its own frame (n, 3); None for planes and terrain."""
     kind, size = int(model.geom_type[g]), model.geom_size[g]
     shape = mujoco.mjtGeom
+    end = np.array([0.0, 0.0, size[1]])
     if kind == int(shape.mjGEOM_BOX):
         return size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     if kind == int(shape.mjGEOM_MESH):
@@ -143,14 +144,14 @@ def _surface(model: mujoco.MjModel, g: int) -> Array | None:
     if kind == int(shape.mjGEOM_CYLINDER):
         turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         ring = size[0] * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-        return np.vstack([ring + [0, 0, size[1]], ring - [0, 0, size[1]]])
+        return np.vstack([ring + end, ring - end])
     ball = _ball()
     if kind == int(shape.mjGEOM_SPHERE):
         return size[0] * ball
     if kind == int(shape.mjGEOM_ELLIPSOID):
         return size * ball
     if kind == int(shape.mjGEOM_CAPSULE):
-        return np.vstack([size[0] * ball + [0, 0, size[1]], size[0] * ball - [0, 0, size[1]]])
+        return np.vstack([size[0] * ball + end, size[0] * ball - end])
     return None
 
 

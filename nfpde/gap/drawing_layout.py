@@ -12,11 +12,16 @@ from nfpde.gap.drawing import Skeleton
 
 Array = NDArray[np.float64]
 
-WIDTH = 720.0
-_COLUMN = 190.0
+WIDTH = 680.0
+TEXT = 14.5
+"""Height of the letters."""
+
 _MARGIN = 26.0
-_LINE = 17.0
-_LONGEST = 22
+_LINE = 18.0
+_GAP = 24.0
+"""Between the labels and the drawing."""
+
+_LONGEST = 18
 _MOST = 26
 """Labels drawn at most; the other joints keep their discs and the text that shows under the pointer."""
 
@@ -71,7 +76,9 @@ def lay_out(skeleton: Skeleton, share: Mapping[str, float]) -> Layout:
     if skeleton.ground is not None:
         low[1] = min(low[1], skeleton.ground)
     size = np.maximum(high - low, 1e-6)
-    room = WIDTH - 2 * _COLUMN
+    longest = max([min(len(n), _LONGEST) for n in skeleton.joints] or [0])
+    column = 0.7 * TEXT * (longest + (4 if share else 0)) + _GAP
+    room = WIDTH - 2 * column - _MARGIN
     lines = min(len(skeleton.joints), _MOST)
     height = max(300.0, min(480.0, room * float(size[1] / size[0]) + 2 * _MARGIN), _LINE * (lines / 2 + 4) + 20)
     scale = min(room / float(size[0]), (height - 2 * _MARGIN) / float(size[1]))
@@ -83,7 +90,7 @@ def lay_out(skeleton: Skeleton, share: Mapping[str, float]) -> Layout:
     ground = None if skeleton.ground is None else float(pixels(np.array([0.0, skeleton.ground]))[1])
     discs = _discs(skeleton.joints, pixels(skeleton.anchors), share)
     outlines = [pixels(p) for p in skeleton.outlines]
-    return Layout(WIDTH, height, outlines, list(skeleton.fixed), _labelled(discs, share, height), ground)
+    return Layout(WIDTH, height, outlines, list(skeleton.fixed), _labelled(discs, share, height, column), ground)
 
 
 def _discs(joints: Sequence[str], anchors: Array, share: Mapping[str, float]) -> list[Disc]:
@@ -103,7 +110,7 @@ def _discs(joints: Sequence[str], anchors: Array, share: Mapping[str, float]) ->
     ]
 
 
-def _labelled(discs: list[Disc], share: Mapping[str, float], height: float) -> list[Disc]:
+def _labelled(discs: list[Disc], share: Mapping[str, float], height: float, column: float) -> list[Disc]:
     """Give every disc its labels, in a column on either side."""
     names = [n for d in discs for n in d.joints]
     shown = set(sorted(names, key=lambda n: -share.get(n, 0.0))[:_MOST])
@@ -117,13 +124,14 @@ def _labelled(discs: list[Disc], share: Mapping[str, float], height: float) -> l
     done = []
     for side, is_left in ((left, True), (right, False)):
         side.sort(key=lambda d: (d.y, d.x))
-        done += _column([d for d in side if count[d]], is_left, share, shown, height)
+        x = column - _GAP if is_left else WIDTH - column + _GAP
+        done += _column([d for d in side if count[d]], is_left, x, share, shown, height)
         done += [d for d in side if not count[d]]
     return done
 
 
 def _column(
-    side: list[Disc], left: bool, share: Mapping[str, float], shown: set[str], height: float
+    side: list[Disc], left: bool, x: float, share: Mapping[str, float], shown: set[str], height: float
 ) -> list[Disc]:
     """Labels from top to bottom, as near to their discs' heights as they fit."""
     rows = [[n for n in d.joints if n in shown] for d in side]
@@ -137,7 +145,6 @@ def _column(
         tops[i] = min(tops[i], limit - _LINE * (len(rows[i]) - 1))
         limit = tops[i] - _LINE - 4
     out = []
-    x = _COLUMN - 22.0 if left else WIDTH - _COLUMN + 22.0
     for disc, names, top in zip(side, rows, tops, strict=True):
         labels = []
         for i, name in enumerate(names):

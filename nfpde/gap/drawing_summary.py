@@ -10,11 +10,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from nfpde.gap.drawing import project
-from nfpde.gap.drawing_layout import Layout, lay_out
-from nfpde.gap.html_causes import decades
+from nfpde.gap.drawing_layout import TEXT, Layout, lay_out
+from nfpde.gap.html_causes import powers, scale
 from nfpde.gap.html_robot import shares
 from nfpde.gap.html_svg import percent, shade
 from nfpde.gap.report import GapReport
+
+_WIDE, _HIGH, _PART = 13.0, 5.2, 0.55
+"""Size [in], and the robot's part of the width."""
 
 _BLUE, _RED, _GREEN = "#0072B2", "#D55E00", "#009E73"
 
@@ -22,17 +25,19 @@ _BLUE, _RED, _GREEN = "#0072B2", "#D55E00", "#009E73"
 def draw_summary(report: GapReport, path: Path) -> Path:
     """Draw the ladder and the robot into a picture file; returns its path."""
     layout = lay_out(project(report.model), shares(report))
-    figure = Figure(figsize=(13.0, 5.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
-    _ladder(left, report)
-    _robot(right, layout, bool(shares(report)))
+    figure = Figure(figsize=(_WIDE, _HIGH))
+    _ladder(figure.add_axes((0.135, 0.1, 0.285, 0.8)), report)
+    _robot(figure.add_axes((1 - _PART, 0.02, _PART, 0.88)), layout, bool(shares(report)))
     figure.savefig(path, dpi=120)
     return path
 
 
 def _ladder(ax: Axes, report: GapReport) -> None:
-    labels, values = [_plain(label, 34) for label, _ in report.ladder], [v for _, v in report.ladder]
-    low, high = decades(values)
+    labels, values = (
+        [_plain(label.replace(" at ", "\nat "), 44) for label, _ in report.ladder],
+        [v for _, v in report.ladder],
+    )
+    low, high = scale(values)
     rows = range(len(values))
     colours = [_RED, *[_BLUE] * (len(values) - 2), _GREEN][: len(values)]
     drawn = [min(max(v, 10.0**low), 10.0**high) if math.isfinite(v) else 10.0**high for v in values]
@@ -40,8 +45,10 @@ def _ladder(ax: Axes, report: GapReport) -> None:
     for row, value, at in zip(rows, values, drawn, strict=True):
         ax.text(at * 1.1, row, percent(value), va="center", fontsize=11, fontweight="bold")
     ax.set_xscale("log")
-    ax.set_xlim(10.0**low, 10.0**high * 10 ** (0.18 * (high - low)))
-    ax.xaxis.set_major_formatter(lambda v, _: percent(v))
+    ax.set_xlim(10.0**low, 10.0**high * 10 ** (0.2 * (high - low)))
+    ticks = powers(low, high)
+    ax.set_xticks(ticks, [percent(t) for t in ticks])
+    ax.minorticks_off()
     ax.set_yticks(list(rows), labels)
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
@@ -49,6 +56,7 @@ def _ladder(ax: Axes, report: GapReport) -> None:
 
 
 def _robot(ax: Axes, layout: Layout, coloured: bool) -> None:
+    letters = 72 * TEXT * min(_PART * _WIDE / layout.width, 0.88 * _HIGH / layout.height)
     top = max([d.share for d in layout.discs] or [0.0]) or 1.0
     if layout.ground is not None:
         ax.plot([150, layout.width - 150], [layout.ground] * 2, color="#8a949e", ls="--", lw=1)
@@ -68,7 +76,7 @@ def _robot(ax: Axes, layout: Layout, coloured: bool) -> None:
                 label.y,
                 _plain(label.text, 99),
                 ha="right" if label.left else "left",
-                fontsize=9.5,
+                fontsize=letters,
                 fontweight="bold" if label.share >= 0.1 else "normal",
             )
     ax.set_xlim(0, layout.width)

@@ -17,18 +17,25 @@ def called(effect: str, target: str) -> str:
     return f"{effect} at {target}" if target else effect
 
 
-def decades(values: Sequence[float]) -> tuple[int, int]:
-    """Powers of ten that hold all positive values, at least one decade."""
+def scale(values: Sequence[float]) -> tuple[float, float]:
+    """Ends of a logarithmic scale, as powers of ten: a decade or more, where the smallest value still has a bar."""
     logs = [math.log10(v) for v in values if math.isfinite(v) and v > 0] or [0.0]
-    low, high = math.floor(min(logs) - 1e-9), math.ceil(max(logs) - 1e-9)
-    return max(min(low, high - 1), high - 9), high
+    low, high = min(logs), max(max(logs), 0.0)
+    low = max(low - 0.12 * max(high - low, 1.0), high - 9)
+    return min(low, high - 1.1), high
+
+
+def powers(low: float, high: float) -> list[float]:
+    """Round values between the ends of a scale: powers of ten, every second or third one on a long scale."""
+    step = max(1, math.ceil((high - low) / 4.5))
+    return [10.0**e for e in range(math.floor(high + 1e-9), math.ceil(low) - 1, -step)][::-1]
 
 
 def ladder(report: GapReport) -> str:
     """The gap at each rung, as bars on a logarithmic scale."""
-    low, high = decades([v for _, v in report.ladder])
+    low, high = scale([v for _, v in report.ladder])
     out = []
-    ticks = [10.0**e for e in range(low, high + 1, 1 if high - low <= 4 else 2)]
+    ticks = powers(low, high)
     lines = "".join(f'<u style="left:{_along(t, low, high):.1f}%"></u>' for t in ticks)
     for i, (label, value) in enumerate(report.ladder):
         kind = " floor" if i == len(report.ladder) - 1 else " start" if i == 0 else ""
@@ -41,12 +48,11 @@ def ladder(report: GapReport) -> str:
     out.append(f'<div class="gone"></div><div class="axis">{axis}</div><div class="gone"></div>')
     return (
         f'<div class="ladder">{"".join(out)}</div><p class="small soft">Mean squared error of the predictions on the '
-        "held-out episodes in units of the noise, relative to the nominal model; each step of the scale is a factor of "
-        f"{'ten' if high - low <= 4 else 'a hundred'}.</p>"
+        "held-out episodes in units of the noise, relative to the nominal model. The scale is logarithmic.</p>"
     )
 
 
-def _along(value: float, low: int, high: int) -> float:
+def _along(value: float, low: float, high: float) -> float:
     """Place of a value on the scale, in percent."""
     if not math.isfinite(value):
         return 100.0 if value > 0 else 0.0
@@ -72,7 +78,7 @@ def ranking(report: GapReport) -> str:
         else:
             note = "not accepted"
         rows.append([str(i + 1), _name(c, note), _shrink(c), fitted_all(c)])
-    head = ["", "cause", "share of the gap it removes (95 % interval)", "fitted values (95 % interval)"]
+    head = ["", "cause", "share of the gap it removes (95% interval)", "fitted values (95% interval)"]
     first = table(head, rows[:_FIRST], "causes")
     if len(rows) <= _FIRST:
         return first
@@ -93,7 +99,7 @@ def _shrink(c: Cause) -> str:
         f"<b>{percent(c.shrink)}</b> ({percent(c.shrink_low)} to {percent(c.shrink_high)})"
         f'<div class="track"><i style="width:{ends[0]:.1f}%"></i>'
         f'<b style="left:{ends[1]:.1f}%;width:{max(ends[2] - ends[1], 0.6):.1f}%"></b></div>'
-        f'<span class="small soft">gain {number(c.gain)} ± {number(c.gain_error)} nats a window</span>'
+        f'<span class="small soft">gain {number(c.gain, 3)} ± {number(c.gain_error, 2)} nats a window</span>'
     )
 
 

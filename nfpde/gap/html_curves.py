@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.html_causes import decades
+from nfpde.gap.html_causes import scale
 from nfpde.gap.html_svg import Panel, number, percent, span, text
 from nfpde.gap.report import GapReport, ResidualForce, Trace
 
@@ -60,10 +60,10 @@ def horizons(report: GapReport) -> str:
     ]
     if not report.effects:
         del stages[2]
-    bottom, top = decades(np.concatenate([s[2] for s in stages]).tolist())
+    bottom, top = scale(np.concatenate([s[2] for s in stages]).tolist())
     panel = Panel(
         span(time),
-        (10.0**bottom, 1.25 * 10.0**top),
+        (10.0**bottom, 1.2 * 10.0**top),
         "Gap by how far ahead is predicted",
         "horizon [s]",
         "relative to the nominal model",
@@ -75,18 +75,24 @@ def horizons(report: GapReport) -> str:
         for h, t, v in zip(steps, time.tolist(), values.tolist(), strict=True):
             if np.isfinite(v) and v > 0:
                 panel.dot(t, v, kind, 3.2, f"{what}, {h} steps ({number(t)} s): {percent(v)}")
-    return f'{key([(kind, what) for kind, what, _ in stages])}<div class="panels">{panel.svg()}</div>'
+    return f'{key([(kind, what) for kind, what, _ in stages])}<div class="panels one">{panel.svg()}</div>'
 
 
-def residual_force(force: ResidualForce) -> str:
-    """The force left over against position, speed and command, with error bars of one standard error."""
+def residual_force(force: ResidualForce, unit: str) -> str:
+    """The force left over against position, speed and command, with error bars of one standard error.
+
+    Args:
+        force: what was found.
+        unit: of the joint's position.
+    """
+    axes = ((f"position [{unit}]", force.position), (f"speed [{unit}/s]", force.speed), ("command", force.command))
     panels = []
     keep = np.isfinite(force.force) & np.isfinite(force.error)
     y, error = force.force[keep], force.error[keep]
     upward = span(y - error, y + error) if len(y) else (-1.0, 1.0)
-    for name, values in (("position", force.position), ("speed", force.speed), ("command", force.command)):
+    for name, values in axes:
         x = values[keep]
-        panel = Panel(span(x), upward, f"against {name}", name, f"force [{force.unit}]")
+        panel = Panel(span(x), upward, f"against {name.split()[0]}", name, f"force [{force.unit}]")
         panel.line(np.array(panel.x), np.zeros(2), "nominal")
         for a, f, e in zip(x.tolist(), y.tolist(), error.tolist(), strict=True):
             if np.isfinite(a):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
+
+from nfpde.elements import element_names
 from nfpde.gap.drawing_summary import draw_summary
 from nfpde.gap.html_causes import called, fitted, ladder, ranking, rivals
 from nfpde.gap.html_curves import horizons, residual_force, traces
@@ -45,7 +48,7 @@ def write_report(report: GapReport, folder: Path | str) -> Path:
 def page(report: GapReport) -> str:
     """The whole page."""
     sections = [
-        ("How far the gap shrinks", ladder(report)),
+        ("How far the gap shrinks", f"{ladder(report)}<h2>The gap at every horizon</h2>{horizons(report)}"),
         ("Where it lies", where(report)),
     ]
     columns = "".join(f"<section><h2>{title}</h2>{body}</section>" for title, body in sections)
@@ -54,10 +57,9 @@ def page(report: GapReport) -> str:
         ("What cannot be told apart", rivals(report)),
         ("Where and when: joint by regime", gap_map(report)),
         ("The worst held-out windows, before and after", traces(report)),
-        ("The gap at every horizon", horizons(report)),
     ]
     if report.residual_force is not None:
-        below.insert(0, ("The force that is left over", residual_force(report.residual_force)))
+        below.insert(0, ("The force that is left over", residual_force(report.residual_force, _unit(report))))
     rest = "".join(f"<section><h2>{title}</h2>{body}</section>" for title, body in below)
     lines = "".join(f"<li>{text(line)}</li>" for line in report.summary)
     return (
@@ -85,11 +87,21 @@ def headline(report: GapReport) -> str:
     return f"A gap remains{place}{found} that no effect in the library explains."
 
 
+def _unit(report: GapReport) -> str:
+    """Unit of the position of the joint on which a force is left over."""
+    names = element_names(report.model, "joint")
+    force = report.residual_force
+    if force is None or force.joint not in names:
+        return "rad or m"
+    kind = int(report.model.jnt_type[names.index(force.joint)])
+    return {int(mujoco.mjtJoint.mjJNT_SLIDE): "m", int(mujoco.mjtJoint.mjJNT_FREE): "m or rad"}.get(kind, "rad")
+
+
 def _base(report: GapReport) -> str:
     if not report.base:
         return "<p>No parameter was free.</p>"
     rows = [[f"{text(name)}", fitted(value)] for name, value in report.base.items()]
-    return table(["parameter", "value (95 % interval)"], rows)
+    return table(["parameter", "value (95% interval)"], rows)
 
 
 def _noise(report: GapReport) -> str:

@@ -33,7 +33,7 @@ def where(report: GapReport) -> str:
         if p.share > 0
     )
     return (
-        f"{robot(layout, share)}<p class='small soft'>Share of the gap: 0 %"
+        f"{robot(layout, share)}<p class='small soft'>Share of the gap: 0%"
         f"<span class='scale' style='background:linear-gradient(90deg,{ends})'></span>{percent(top)}; noise is "
         f"subtracted. Joints at one place share a disc.</p><ul>{rows}</ul>"
     )

@@ -18,6 +18,7 @@ p,ul,ol{margin:.5em 0;max-width:78ch}ul,ol{padding-left:1.3em}.soft{color:var(--
 .cols>*{min-width:0}
 .panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,330px),1fr));gap:12px;max-width:1160px}
 .panels>svg{background:var(--card);border-radius:8px;width:100%;max-width:560px;height:auto;padding:6px}
+.panels.one{max-width:450px}
 svg text{font-size:12px;fill:var(--ink)}svg .title{font-weight:600}svg .end{text-anchor:end}svg .mid{text-anchor:middle}
 .grid{stroke:var(--rule);fill:none;stroke-width:.7}.line{fill:none;stroke-width:2;stroke-linejoin:round}
 .bar{fill:none;stroke-width:1;opacity:.55}
@@ -41,11 +42,11 @@ background:var(--page);opacity:.8}.ladder .value{font-weight:600;text-align:righ
 .ladder .floor i{background:var(--green)}.ladder .start i{background:var(--red)}.ladder .axis{position:relative;
 height:18px;font-size:.78rem;color:var(--soft)}.axis span{position:absolute;transform:translateX(-50%);
 white-space:nowrap}.ladder .label{max-width:230px}
-.robot{min-width:560px;width:100%;max-width:820px;height:auto;display:block}
+.robot{min-width:430px;width:100%;max-width:820px;height:auto;display:block}
 .robot .solid{fill:var(--body);stroke:var(--edge);stroke-width:1.2;fill-opacity:.75;stroke-linejoin:round}
 .robot .fixed{fill:var(--track);stroke:var(--rule)}.robot .lead{stroke:var(--idle);fill:none;stroke-width:.8}
 .robot .disc{stroke:var(--ink);stroke-width:1.3}.robot .bare{fill:var(--page)}.robot .ground{stroke:var(--idle);
-stroke-width:1.5;stroke-dasharray:8 4}.robot text{font-size:13px}.robot .much{font-weight:700}
+stroke-width:1.5;stroke-dasharray:8 4}.robot text{font-size:14.5px}.robot .much{font-weight:700}
 .robot .little{fill:var(--soft)}
 .scale{display:inline-block;width:120px;height:11px;border-radius:3px;vertical-align:middle;margin:0 7px}
 .map td,.map th{padding:6px 9px;border:1px solid var(--rule);text-align:center}.map th[scope=row]{text-align:left;
@@ -54,6 +55,8 @@ color:var(--ink);font-size:.92rem}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:3px 18px;margin:.5em 0}dt{color:var(--soft)}dd{margin:0}
 details{margin:.6em 0}summary{cursor:pointer;color:var(--blue)}
 @media (max-width:640px){body{font-size:15px}h1{font-size:1.4rem}main{padding:12px 12px 40px}
-.ladder{grid-template-columns:1fr 62px}.ladder .label{grid-column:1/3;max-width:none}.ladder .gone{display:none}}
+.ladder{grid-template-columns:1fr 62px}.ladder .label{grid-column:1/3;max-width:none}.ladder .gone{display:none}
+.robot{min-width:0}.causes thead{display:none}.causes td{display:block;border:0;padding:1px 0}.causes tr{display:block;
+border-bottom:1px solid var(--rule);padding:8px 0}.causes td:first-child{float:left;padding-right:8px}}
 @media print{.scroll{overflow:visible}}
 """

@@ -21,9 +21,9 @@ def text(value: object) -> str:
     return html.escape(str(value), quote=True)
 
 
-def number(value: float) -> str:
-    """Four significant digits; a dash for what is not a number."""
-    return f"{value:.4g}" if math.isfinite(value) else "–"
+def number(value: float, digits: int = 4) -> str:
+    """A number with so many significant digits; a dash for what is not one."""
+    return f"{value:.{digits}g}" if math.isfinite(value) else "–"
 
 
 def percent(value: float) -> str:
@@ -32,15 +32,22 @@ def percent(value: float) -> str:
         return "–"
     size = abs(100 * value)
     if size >= 9.95:
-        return f"{100 * value:.0f} %"
-    return f"{100 * value:.1f} %" if size >= 0.995 or size == 0 else f"{100 * value:.2g} %"
+        return f"{100 * value:.0f}%"
+    return f"{100 * value:.1f}%" if size >= 0.995 else f"{100 * value:.2g}%"
 
 
 def shade(part: float) -> tuple[str, str]:
     """Colour for 0 to 1 and the ink to write on it: lightness falls steadily, so colour-blind readers see the order."""
-    red, green, blue, _ = colormaps["YlOrBr"](0.05 + 0.75 * min(max(part, 0.0), 1.0))
-    dark = 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.5
-    return to_hex((red, green, blue)), "#fff" if dark else "#1a1a1a"
+    colour = to_hex(colormaps["YlOrBr"](0.05 + 0.75 * min(max(part, 0.0), 1.0)))
+    # black and white stand out equally where (L + 0.05)^2 = 0.05 * 1.05
+    return colour, "#ffffff" if luminance(colour) < 0.179 else "#000000"
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of "#rrggbb", 0 to 1, as defined for sRGB in WCAG 2.1."""
+    channels = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
 @dataclass
