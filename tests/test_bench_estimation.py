@@ -422,6 +422,9 @@ def test_the_grid_goes_on_and_grows(tmp_path, monkeypatch, capsys):
     page = (tmp_path / "estimation.md").read_text()
     assert page.count("| pendulum | gaussian |") == 2
     assert "nfpde bench estimation" in page
+    rows = json.loads((tmp_path / "estimation.json").read_text())["rows"]
+    assert [r["noise"] for r in rows] == [0.0, 0.01]
+    assert [v["name"] for v in rows[1]["verdicts"]] == ["closer", "bound", "whole", "fresh"]
     path = tmp_path / "estimation" / "pendulum_gaussian_0.01_0.json"
     content = json.loads(path.read_text())
     found = stages.results(content)

@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from nfpde.bench.estimation.cell import QUICK, TRAJECTORY, Cell, Settings, assemble, measure
 from nfpde.bench.estimation.stages import SCHEMA_VERSION, Budget, OutOfTime, Stages
-from nfpde.bench.estimation.table import line, order, table
+from nfpde.bench.estimation.table import line, order, row, table
 from nfpde.benchmarks import ROBOTS, Target, robot
 from nfpde.errors import BadInput
 from nfpde.storage import read_json, write_whole
@@ -73,6 +73,8 @@ def run(
         text = table(finished, command)
         print(text)
         write_whole(out / f"{name}.md", text)
+        figures = {"command": command, "rows": [row(c) for c in finished]}
+        write_whole(out / f"{name}.json", json.dumps(figures, indent=1) + "\n")
     missing = [str(c) for c in cells if str(c) not in {_name(f) for f in finished}]
     print(
         f"{len(cells) - len(missing)} of {len(cells)} cells are finished" + (": give the command again" * bool(missing))

@@ -63,6 +63,23 @@ def line(cell: dict[str, Any]) -> str:
     ) + " |"  # fmt: skip
 
 
+def row(cell: dict[str, Any]) -> dict[str, Any]:
+    """The cell's figures and verdicts as plain JSON values."""
+    own = cell["trajectory"]
+    return {
+        **cell["cell"],
+        "code": cell["code"],
+        "before": cell["before"]["uniform"]["to_episodes"],
+        "to_episodes": closeness(cell),
+        "to_population": fresh(cell),
+        "errors": errors(cell),
+        "million_steps": {"softmax": cell["softmax"]["fits"][0]["million_steps"], "trajectory": own["million_steps"]},
+        "cpu_seconds": {"softmax": cell["softmax"]["fits"][0]["cpu_seconds"], "trajectory": own["cpu_seconds"]},
+        "two_core_seconds": seconds(cell, own),
+        "verdicts": [vars(v) for v in judge(cell)],
+    }
+
+
 def table(cells: list[dict[str, Any]], command: str) -> str:
     """The whole page, Markdown."""
     cells = sorted(cells, key=order)
