@@ -1,0 +1,78 @@
+"""Actuators that do not answer to small commands."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.drive import Drives, is_plain, is_servo
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+
+
+@register
+class DeadZone(Effect):
+    """Nothing within `half_width` of zero, and half_width less beyond it.
+
+    A motor loses the middle of its command; a position servo that of its error, command minus position as the
+    actuator measures it (behind its gear). Commands are clamped to ctrlrange before.
+    """
+
+    name = "dead_zone"
+    kind = "actuator"
+    quantities = (Quantity("half_width", "ctrl unit", 0.0, math.inf, neutral=0.0),)
+    step_fields = ("actuator_biasprm", "actuator_gainprm", "actuator_gear")
+    sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold."
+    confounders = ("coulomb_friction", "backlash", "stribeck_friction", "motor_strength")
+
+    motors: Drives
+    servos: Drives
+    model: mujoco.MjModel
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Up to twice the typical command of a motor, or twice the typical error of a position servo."""
+        if element < 0 or not is_plain(model, element):
+            return None
+        size = float(scales.ctrl[model.actuator_ctrladr[element]])
+        if is_servo(model, element):
+            size = float(scales.actuator_force[element] / abs(model.actuator_biasprm[element, 1]))
+        return {"half_width": (0.0, 2 * size)} if size > 0 else None
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator that is no motor or servo on a hinge or slide.
+        """
+        bound = super().bind(model)
+        of_servos = np.array([is_plain(model, int(i)) and is_servo(model, int(i)) for i in bound.ids])
+        bound.motors = Drives.of(model, bound.ids[~of_servos], f"{self.name} on {self.target!r}")
+        bound.servos = Drives.of(model, bound.ids[of_servos], f"{self.name} on {self.target!r}")
+        bound.model = model
+        return bound
+
+    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
+        """Take the middle out of the commands of motors."""
+        if not len(self.motors.ids):
+            return ctrl
+        out = ctrl.copy()
+        sent = self.motors.clamped(self.model, ctrl[:, :, self.motors.ctrls])
+        out[:, :, self.motors.ctrls] = sent - np.clip(sent, -values[:, :1, None], values[:, :1, None])
+        return out
+
+    def step(self, world: World, rows: Rows, values: Array) -> None:
+        """Take the middle out of the errors of position servos: what the servo gives less goes into its bias."""
+        servos = self.servos
+        if not len(servos.ids):
+            return
+        gear = servos.field(world, "actuator_gear", rows)[..., 0]
+        sent = servos.clamped(world.model, world.ctrl[np.ix_(rows, servos.ctrls)])
+        error = sent - gear * world.qpos[np.ix_(rows, servos.qposadr)]
+        lost = np.clip(error, -values, values)
+        bias = world.fields["actuator_biasprm"]
+        bias[(*np.ix_(rows, servos.ids), 0)] -= servos.field(world, "actuator_gainprm", rows)[..., 0] * lost
