@@ -1,0 +1,123 @@
+"""Play between an actuator and its joint."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects.drive import DRIVE_FIELDS, Drives, is_plain
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.errors import BadEffect
+
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+_ROTOR = 0.1
+"""Share of a joint's inertia that its rotor is taken to have where the model gives no armature."""
+
+
+@register
+class Backlash(Effect):
+    """A rotor that can turn by `width` before it meets the joint.
+
+    The rotor's inertia J is the joint's armature, or a tenth of the joint's inertia in the model's initial pose where
+    it has none. At an end of the play the joint moves as without backlash, until the torque that the teeth transmit,
+    torque - J acceleration, pulls away. Then the joint moves without the torque and without its armature, and the
+    rotor by the torque alone, until it has crossed the play or the joint has caught up; they go on together, with the
+    momentum of both (an impulse of J times the difference of their speeds, in one physics step). A servo measures
+    the rotor. The rotor is integrated implicitly in the gains of the servo, so any time step is stable.
+
+    No recording says where in the play a window starts: the rotor is taken to be where its torque pushes.
+    """
+
+    name = "backlash"
+    kind = "actuator"
+    quantities = (Quantity("width", "rad", 0.0, math.inf, neutral=0.0),)
+    step_fields = (*DRIVE_FIELDS, "dof_armature")
+    sentence = "The gear has play: after a change of the torque's direction the motor turns freely for a moment."
+    confounders = ("dead_zone", "coulomb_friction", "stribeck_friction", "actuation_delay")
+
+    drives: Drives
+    spare: Array
+    """Inertia (k,) of the rotors whose joints have no armature."""
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """Up to the spread of the joint's position, at most a third of a radian or a tenth of the robot."""
+        if element < 0 or not is_plain(model, element):
+            return None
+        joint = int(model.actuator_trnid[element, 0])
+        hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        spread = float(scales.position[model.jnt_dofadr[joint]])
+        return {"width": (0.0, min(spread, 0.3 if hinge else 0.1 * scales.length))}
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator that is no motor or servo on a hinge or slide, or two on one joint.
+        """
+        bound = super().bind(model)
+        bound.drives = Drives.of(model, bound.ids, f"{self.name} on {self.target!r}")
+        if len(set(bound.drives.joints.tolist())) < len(bound.ids):
+            raise BadEffect(f"{self.name} on {self.target!r}: two of these actuators drive one joint; target one")
+        bound.spare = _ROTOR * model.dof_M0[bound.drives.dofs]
+        return bound
+
+    def step(self, world: World, rows: Rows, values: Array) -> None:
+        """Couple or uncouple the rotors for this step, and move those that are free to its end.
+
+        The memory of each rotor: the end of the play it is at (+1 or -1, 0 in between), its position and speed as
+        seen at the joint, and the joint's speed one step ago (NaN where the change since says nothing).
+        """
+        d, half, dt = self.drives, 0.5 * values, world.model.opt.timestep
+        memory = world.memory.setdefault(self, np.full((4, len(world.qpos), len(self.ids)), np.nan))
+        side, position, speed, before = memory[:, rows]
+        joint, joint_speed = world.qpos[np.ix_(rows, d.qposadr)], world.qvel[np.ix_(rows, d.dofs)]
+        armature = world.fields["dof_armature"][np.ix_(rows, d.dofs)]
+        inertia = np.where(armature > 0, armature, self.spare)
+        if np.isnan(side).any():
+            pushing = np.where(d.torque(world, rows) < 0, -1.0, 1.0)
+            side = np.where(np.isnan(side), pushing, side)
+
+        # free rotors that have crossed the play, and are not already on their way back, meet the joint
+        ahead = position - joint
+        met = (side == 0) & (np.abs(ahead) >= half) & (ahead * (speed - joint_speed) >= 0)
+        world.qfrc_applied[np.ix_(rows, d.dofs)] += np.where(met, inertia * (speed - joint_speed) / dt, 0.0)
+        side = np.where(met, np.sign(ahead), side)
+
+        # rotors at an end stay there while the teeth push
+        position = np.where(side != 0, joint + side * half, position)
+        speed = np.where(side != 0, joint_speed, speed)
+        torque = d.torque(world, rows, position, speed)
+        acceleration = np.where(np.isnan(before), 0.0, joint_speed - before) / dt
+        side = np.where(~met & (side * (torque - inertia * acceleration) < 0), 0.0, side)
+
+        stiffness, damping = self._couple(world, rows, side == 0, position - joint)
+        change = dt * (torque - dt * stiffness * speed) / (inertia + dt * (damping + dt * stiffness))
+        speed = speed + change  # of use, as the position, while the rotor is free
+        memory[:, rows] = side, position + dt * speed, speed, np.where(met, np.nan, joint_speed)
+
+    def _couple(self, world: World, rows: Rows, free: NDArray[np.bool_], ahead: Array) -> tuple[Array, Array]:
+        """Cut free rotors off their joints, and let servos measure the rotors that are not; (n, k) each.
+
+        Returns:
+            Stiffness and damping of the servos at the joint.
+        """
+        d = self.drives
+        gain, bias = world.fields["actuator_gainprm"], world.fields["actuator_biasprm"]
+        gear = d.field(world, "actuator_gear", rows)[..., 0]
+        own = d.field(world, "actuator_biasprm", rows) * (world.model.actuator_biastype[d.ids] == _AFFINE)[:, None]
+        bias[(*np.ix_(rows, d.ids), 0)] += own[..., 1] * gear * ahead
+        cell = (rows[:, None], d.ids[None, :])
+        bias[cell] *= ~free[..., None]
+        gain[cell] *= ~free[..., None]
+        armature = world.fields["dof_armature"]
+        armature[np.ix_(rows, d.dofs)] *= ~free
+        stiffness, damping = (np.clip(-(gear**2) * own[..., i], 0.0, None) for i in (1, 2))
+        return stiffness, damping
