@@ -1,6 +1,7 @@
 """Encoders whose zero is off."""
 
 import math
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -35,7 +36,7 @@ class JointOffset(Effect):
         size = min(max(spread, 0.5), 0.5 * math.pi) if hinge else max(spread, 0.1 * scales.length)
         return {"offset": (-size, size)}
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import mujoco
 import numpy as np
 
 from nfpde.effects.actuation_delay import ActuationDelay
-from nfpde.effects.effect import Bounds, Effect
+from nfpde.effects.effect import Bounds
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 
@@ -31,7 +33,7 @@ class ObservationDelay(ActuationDelay):
         """As for the actuation delay; None without commands."""
         return super().bounds_for(model, element, scales) if model.nu else None
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; `ctrls` are all commands."""
         bound = super().bind(model)
         bound.ctrls = np.arange(model.nu)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, cast
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -35,13 +35,13 @@ class SensorScale(Effect):
         """From 0.6 to 1.7 times, on one hinge or slide."""
         return dict(cls.default_bounds) if is_axis(model, element) else None
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:
             BadEffect: a joint that is no hinge or slide.
         """
-        bound = cast("SensorScale", super().bind(model))
+        bound = super().bind(model)
         if not all(is_axis(model, int(j)) for j in bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
         bound.nq = model.nq
