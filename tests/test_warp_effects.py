@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from nfpde.effects import Effect, Quantity, effect, effect_names
-from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
 from nfpde.sim.warp import WarpSimulator
-from nfpde.sim.warp_effects import COMMANDS, STEPS
+from nfpde.sim.warp_effects import COMMANDS, SENSORS, STEPS
 from tests.models import DOUBLE_PENDULUM, load, make_windows
 
 # Positions and velocities of a few units after 20 physics steps in single precision, friction switching on the way
@@ -16,8 +15,12 @@ TOLERANCE = 5e-5
 CASES = {
     "actuation_delay": ("*", {"delay": (0.0, 0.03)}),
     "actuator_bias": ("elbow_motor", {"offset": (-1.0, 1.0)}),
+    "actuator_lag": ("*", {"time_constant": (0.0, 0.02)}),
     "external_force": ("lower", {"force_x": (-5, 5), "force_y": (-5, 5), "force_z": (-5, 5)}),
+    "joint_offset": ("shoulder", {"offset": (-0.5, 0.5)}),
     "joint_spring": ("*", {"stiffness": (0.0, 3.0), "rest": (-1.0, 1.0)}),
+    "observation_delay": (None, {"delay": (0.0, 0.03)}),
+    "sensor_scale": ("*", {"scale": (0.6, 1.7)}),
     "stribeck_friction": ("*", {"coulomb": (0.0, 0.5), "static": (0.0, 1.0), "speed": (0.05, 0.5)}),
 }
 
@@ -35,7 +38,7 @@ def test_kernel_equals_its_twin(name):
     """Random parameters, neutral ones, and bounds: predictions of windows with a history of commands."""
     target, bounds = CASES[name]
     sim = arm(effect(name, target, **bounds))
-    windows = make_windows(sim.model, 4, 5, nsub=4, history=8)
+    windows = make_windows(sim.model, 4, 5, nsub=4, history=28)
     xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high, neutral(sim)])
     expected = sim.reference.predict(xi, windows)
     # the effect shows: a kernel that does nothing would not pass
@@ -47,14 +50,14 @@ def test_kernel_equals_its_twin(name):
 
 def test_every_kernel_has_a_case():
     """A kernel that nobody compares with its twin is not offered."""
-    assert CASES.keys() == COMMANDS.keys() | STEPS.keys()
+    assert CASES.keys() == COMMANDS.keys() | STEPS.keys() | SENSORS.keys()
     assert CASES.keys() <= set(effect_names())
 
 
 def test_effects_together():
     """All of them in one simulator, in series where they meet, with parameters that switch some off in some rows."""
     sim = arm(*(effect(name, target, **bounds) for name, (target, bounds) in CASES.items()))
-    windows = make_windows(sim.model, 3, 4, nsub=3, history=12)
+    windows = make_windows(sim.model, 3, 4, nsub=3, history=40)
     xi = sim.space.uniform(6, np.random.default_rng(1))
     off = np.random.default_rng(2).random(xi.shape) < 0.4
     xi = np.clip(np.where(off, neutral(sim), xi), sim.space.low, sim.space.high)
@@ -87,9 +90,22 @@ def test_an_effect_without_a_kernel_is_named():
         arm(Unheard("elbow", size=(0.0, 1.0)))
 
 
-def test_effects_without_a_kernel_are_those_that_say_so():
-    """Of the library, only effects that act in other places than the model need a kernel."""
-    for name in COMMANDS:
-        assert overrides(effect(name, CASES[name][0], **CASES[name][1]), "command")
-    for name in STEPS:
-        assert overrides(effect(name, CASES[name][0], **CASES[name][1]), "step")
+MODEL_CASES = {
+    "armature": ("*", {"inertia": (0.0, 0.2)}),
+    "gravity_tilt": (None, {"roll": (-0.3, 0.3), "pitch": (-0.3, 0.3)}),
+    "time_scale": (None, {}),
+    "fluid_drag": (None, {"density": (0.0, 500.0), "viscosity": (0.0, 5.0)}),
+    "wind": (None, {"velocity_x": (-30, 30), "velocity_y": (-30, 30), "velocity_z": (-30, 30)}),
+}
+
+
+@pytest.mark.parametrize("name", MODEL_CASES)
+def test_effects_on_options_and_fields(name):
+    """What only changes the model, options that all worlds usually share among it, needs no kernel."""
+    target, bounds = MODEL_CASES[name]
+    sim = arm(effect(name, target, **bounds))
+    windows = make_windows(sim.model, 3, 4, nsub=4, speed=3.0)
+    xi = np.vstack([sim.space.uniform(3, np.random.default_rng(0)), sim.space.low, sim.space.high, neutral(sim)])
+    expected = sim.reference.predict(xi, windows)
+    assert np.abs(expected[:3] - expected[-1]).max() > 20 * TOLERANCE
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)

@@ -61,3 +61,32 @@ def _offset_commands(
     offset = float(values_in[row, first_in])
     for s in range(signal_out.shape[1]):
         signal_out[worldid, s, ctrlid_in[i]] += offset
+
+
+@wp.kernel(enable_backward=False)
+def _lag_commands(
+    # In:
+    values_in: wp.array2d[wp.float64],
+    active_in: wp.array2d[int],
+    world_row_in: wp.array[int],
+    ctrlid_in: wp.array[int],
+    first_in: int,
+    effect_in: int,
+    timestep_in: wp.float64,
+    # Out:
+    signal_out: wp.array3d[float],
+):
+    """Actuator lag: a first-order filter, solved exactly for commands that are constant in a step, by its mean."""
+    worldid, i = wp.tid()
+    row = world_row_in[worldid]
+    if active_in[row, effect_in] == 0:
+        return
+    ctrlid = ctrlid_in[i]
+    steps = timestep_in / wp.max(values_in[row, first_in], wp.float64(1.0e-300))
+    kept = wp.exp(-steps)
+    mean = (wp.float64(1.0) - kept) / steps
+    y = wp.float64(signal_out[worldid, 0, ctrlid])
+    for s in range(signal_out.shape[1]):
+        u = wp.float64(signal_out[worldid, s, ctrlid])
+        signal_out[worldid, s, ctrlid] = wp.float32(u + (y - u) * mean)
+        y = u + (y - u) * kept

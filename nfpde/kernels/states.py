@@ -43,6 +43,23 @@ def _set_start(
 
 
 @wp.kernel(enable_backward=False)
+def _set_state(
+    # In:
+    state_in: wp.array3d[float],
+    nq_in: int,
+    # Data out:
+    qpos_out: wp.array2d[float],
+    qvel_out: wp.array2d[float],
+):
+    """Begin at the first of a world's states."""
+    worldid, i = wp.tid()
+    if i < nq_in:
+        qpos_out[worldid, i] = state_in[worldid, 0, i]
+    else:
+        qvel_out[worldid, i - nq_in] = state_in[worldid, 0, i]
+
+
+@wp.kernel(enable_backward=False)
 def _set_ctrl(
     # In:
     ctrl_in: wp.array3d[float],

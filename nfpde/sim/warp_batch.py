@@ -188,6 +188,15 @@ class WarpBatch:
                 *(self._alive, self._loss, self._step),
             ],
         )
+        if self._effects.on_sensor:
+            self._store()
+            self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted, back=True)
+            wp.launch(
+                states._set_state,
+                dim=(z.nworld, self._space.nx),
+                inputs=[self._predicted, nq],
+                outputs=[d.qpos, d.qvel],
+            )
         if self._effects.on_command:
             wp.launch(
                 states._set_signal,
@@ -198,15 +207,11 @@ class WarpBatch:
             self._effects.change_commands(self._elements, self._staged, self._signal)
 
     def _control_step(self) -> None:
-        z, nx = self.sizes, self._space.nx
+        z = self.sizes
         for k in range(z.nsub):
             self._physics_step(k)
-        wp.launch(
-            loss_kernels._store_prediction,
-            dim=(z.nworld, nx),
-            inputs=[self.d.qpos, self.d.qvel, self._alive, self._step, self._space.nq],
-            outputs=[self._predicted],
-        )
+        self._store()
+        self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted)
         if not z.keep:
             wp.launch(
                 loss_kernels._add_loss,
@@ -218,6 +223,15 @@ class WarpBatch:
                 outputs=[self._loss],
             )
         wp.launch(loss_kernels._count_step, dim=1, inputs=[], outputs=[self._step])
+
+    def _store(self) -> None:
+        """Keep the state of the simulation as it is now."""
+        wp.launch(
+            loss_kernels._store_prediction,
+            dim=(self.sizes.nworld, self._space.nx),
+            inputs=[self.d.qpos, self.d.qvel, self._alive, self._step, self._space.nq],
+            outputs=[self._predicted],
+        )
 
     def _physics_step(self, k: int) -> None:
         z, d, nu = self.sizes, self.d, self._model.model.nu

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
-from nfpde.kernels import commands, forces, friction
+from nfpde.kernels import commands, forces, friction, sensors
 from nfpde.sim.acting import effect_columns
 
 Array = NDArray[np.float64]
@@ -58,6 +58,8 @@ class StepKernel:
 COMMANDS: dict[str, Any] = {
     "actuation_delay": commands._delay_commands,
     "actuator_bias": commands._offset_commands,
+    "actuator_lag": commands._lag_commands,
+    "observation_delay": commands._delay_commands,
 }
 """Effects on commands; all kernels have the same arguments, see `nfpde.kernels.commands`."""
 
@@ -67,6 +69,9 @@ STEPS: dict[str, StepKernel] = {
     "stribeck_friction": StepKernel(friction._add_stribeck_friction, ("dofs",), ("qvel",), ("dof_frictionloss",)),
 }
 """Effects before every physics step."""
+
+SENSORS: dict[str, Any] = {"joint_offset": sensors._offset_positions, "sensor_scale": sensors._scale_motion}
+"""Effects on what is measured of joints; all kernels have the same arguments, see `nfpde.kernels.sensors`."""
 
 
 class WarpEffects:
@@ -91,6 +96,7 @@ class WarpEffects:
         self.nvalue = sum(len(e.parameters) for e in effects)
         self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
         self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
+        self.on_sensor = [i for i, e in enumerate(effects) if e.name in SENSORS]
         self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
 
     def stage(self, xi: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -102,11 +108,9 @@ class WarpEffects:
 
     def elements(self) -> list[list[wp.array]]:
         """Of every effect the ids of the elements its kernels act on, on Warp's current device."""
-        found = []
-        for e in self.effects:
-            names = STEPS[e.name].ids if e.name in STEPS else ("ctrls",) if e.name in COMMANDS else ()
-            found.append([wp.array(np.asarray(getattr(e, n), np.int32), dtype=int) for n in names])
-        return found
+        return [
+            [wp.array(np.asarray(getattr(e, n), np.int32), dtype=int) for n in _element_names(e)] for e in self.effects
+        ]
 
     def change_commands(self, elements: list[list[wp.array]], staged: Staged, signal: wp.array) -> None:
         """Let the effects change the commands of all physics steps, (nworld, S, nu)."""
@@ -133,19 +137,47 @@ class WarpEffects:
                 outputs=[fields[name] if name in fields else getattr(d, name) for name in step.changes],
             )
 
+    def measure(
+        self,
+        elements: list[list[wp.array]],
+        staged: Staged,
+        step: wp.array,
+        nq: int,
+        states: wp.array,
+        *,
+        back: bool = False,
+    ) -> None:
+        """Turn simulated states into measured ones, or back; `states` (nworld, H, nx), of which one step is changed."""
+        for i in self.on_sensor if back else reversed(self.on_sensor):
+            wp.launch(
+                SENSORS[self.effects[i].name],
+                dim=(states.shape[0], elements[i][0].size),
+                inputs=[*staged.arrays(), *elements[i], self._first(i), step, nq, -1 if back else 1],
+                outputs=[states],
+            )
+
     def _first(self, effect: int) -> int:
         """Its first column of the staged values."""
         return self.columns[effect].start - self.nbase
+
+
+def _element_names(effect: Effect) -> tuple[str, ...]:
+    """The attributes of a bound effect that hold the elements its kernel acts on."""
+    if effect.name in STEPS:
+        return STEPS[effect.name].ids
+    if effect.name in COMMANDS:
+        return ("ctrls",)
+    return ("qposadr", "dofs") if effect.name in SENSORS else ()
 
 
 def _refuse_without_kernel(effect: Effect) -> None:
     missing = [
         *(["command"] if overrides(effect, "command") and effect.name not in COMMANDS else []),
         *(["step"] if overrides(effect, "step") and effect.name not in STEPS else []),
-        *(m for m in ("to_simulated", "to_measured") if overrides(effect, m)),
+        *(m for m in ("to_simulated", "to_measured") if overrides(effect, m) and effect.name not in SENSORS),
     ]
     if missing:
-        able = ", ".join(sorted([*COMMANDS, *STEPS]))
+        able = ", ".join(sorted([*COMMANDS, *STEPS, *SENSORS]))
         raise BadEffect(
             f"{effect.name} has no kernel for MuJoCo Warp ({', '.join(missing)}); use device='cpu'. Effects that "
             f"have one: {able}, and all that only change fields of the model"
