@@ -6,6 +6,7 @@ import pytest
 
 from nfpde.bench.gap.faults import bodies, commands, drives, friction, outsiders, sensors, world
 from nfpde.bench.gap.plant import Plant
+from nfpde.bench.gap.robots import ROBOTS
 
 DT = 0.001
 CONTROL = 0.01
@@ -408,3 +409,28 @@ def test_a_moment_brings_every_memory_back():
                 plant.advance(u)
             ends.append(np.concatenate(plant.reading()))
         np.testing.assert_array_equal(ends[0], ends[1])
+
+
+class NativeFriction(bodies.Grease):
+    """The same by MuJoCo's own friction loss."""
+
+    def alter(self, model):
+        model.dof_frictionloss[model.joint(self.target).dofadr[0]] = self.values["torque"]
+
+
+@pytest.mark.parametrize(("joint", "torque"), [("lift", 2.0), ("bend", 0.8), ("yaw", 0.5)])
+def test_coulomb_friction_agrees_with_the_simulators_own(joint, torque):
+    """On an arm whose joints drive each other, both slow the joint alike; MuJoCo's creeps where it should stick."""
+    robot = ROBOTS["arm3"]
+    wave = np.sin(0.1 * np.arange(60)[:, None] + np.array([0.0, 2.0, 4.0])) * np.array(robot.open_torque)
+    speeds = []
+    for faults in ([friction.DryFriction(joint, {"torque": torque})], [NativeFriction(joint, {"torque": torque})], []):
+        plant = Plant(robot.path.read_text(), robot.control_dt, faults=faults)
+        plant.begin(np.array(robot.home), np.zeros(3), wave[0])
+        speeds.append([])
+        for u in wave:
+            plant.advance(u)
+            speeds[-1].append(plant.data.qvel[plant.model.joint(joint).dofadr[0]])
+    own, native, without = map(np.array, speeds)
+    effect = np.sqrt(((native - without) ** 2).mean())
+    assert np.sqrt(((own - native) ** 2).mean()) < 0.05 * effect
