@@ -37,7 +37,7 @@ def traces(report: GapReport) -> str:
 def _trace(t: Trace, repaired: bool) -> str:
     curves = [t.measured, t.before, *([t.after] if repaired else [])]
     # a prediction that blows up must not flatten what was measured
-    low, high = span(t.measured, pad=2.0)
+    low, high = span(t.measured, pad=4.0)
     across, upward = span(t.time, pad=0.0), span(*[np.clip(c, low, high) for c in curves])
     panel = Panel(across, upward, f"{t.channel}, episode {t.episode}", "time in the episode [s]", t.unit)
     for curve, kind in zip(curves, ("measured", "before", "after"), strict=False):

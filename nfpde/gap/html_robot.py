@@ -28,7 +28,7 @@ def where(report: GapReport) -> str:
     ends = ", ".join(shade(t)[0] for t in np.linspace(0, 1, 6))
     top = max(d.share for d in layout.discs) if layout.discs else 0.0
     rows = "".join(
-        f"<li>{text(p.joint)}: <b>{percent(p.share)}</b>, most of all in the regime: {text(p.regime)}</li>"
+        f"<li>{text(p.joint)}: <b>{percent(p.share)}</b>, densest in the regime: {text(p.regime)}</li>"
         for p in report.where[:3]
         if p.share > 0
     )

@@ -27,10 +27,12 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def percent(value: float) -> str:
-    """A share in percent with two significant digits or more; a dash for what is not a number."""
+    """A share in percent with two digits that count, three just below the whole; a dash for what is not a number."""
     if not math.isfinite(value):
         return "–"
     size = abs(100 * value)
+    if 0.985 < value < 1:
+        return f"{100 * value:.1f}%"
     if size >= 9.95:
         return f"{100 * value:.0f}%"
     return f"{100 * value:.1f}%" if size >= 0.995 else f"{100 * value:.2g}%"
