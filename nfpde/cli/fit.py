@@ -10,7 +10,7 @@ from rich.console import Console
 
 from nfpde.cli.models import MODEL_HELP, make_simulator, read_dataset
 from nfpde.cli.settings import build, options_from
-from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit
+from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit, tell, write_report
 
 
 @options_from(NfpdeConfig, TrajectoryConfig)
@@ -21,8 +21,11 @@ def command(
     out: Annotated[Path, typer.Option(help="folder for the results; an interrupted fit goes on from it")],
     params: Annotated[Path | None, typer.Option(help="parameters.toml; a benchmark robot has its own")] = None,
     method: Annotated[
-        Method, typer.Option(help="softmax (Eq. 11 of the paper), cai (Eq. 10), or whole trajectories")
-    ] = "softmax",
+        Method, typer.Option(help="whole trajectories, or softmax (Eq. 11 of the paper) or cai (Eq. 10)")
+    ] = "trajectory",
+    resolution: Annotated[
+        float | None, typer.Option(help="smallest step that the sensors show, in the recorded units (trajectory only)")
+    ] = None,
     resample: Annotated[
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
@@ -32,15 +35,21 @@ def command(
 ) -> None:
     """Fit a distribution over the model's parameters to recordings of one or many robots.
 
-    Writes the distribution, fit.json, corner.png and progress.png. The same command goes on where an interrupted
-    one stopped.
+    Writes the distribution, fit.json, corner.png and progress.png, and by trajectory report.html and report.png. The
+    same command goes on where an interrupted one stopped.
     """
     simulator = make_simulator(model, params)
     dataset = read_dataset(data, resample)
     config = build(CONFIGS[method], settings, context, f"the method {method}")
-    result = fit(simulator, dataset, method=method, config=config, seed=seed, out=out, quiet=quiet)
+    result = fit(
+        simulator, dataset, method=method, config=config, resolution=resolution, seed=seed, out=out, quiet=quiet
+    )
     pictures = draw_fit(result, out, nominal=simulator.nominal())
     Console().print(result.distribution.summary(simulator.nominal()))
+    if method == "trajectory":
+        pictures |= write_report(result, out)
+        for line in tell(result):
+            typer.echo(line)
     typer.echo(f"{out / 'distribution'}: the distribution; nfpde.ParameterDistribution.load reads it")
     typer.echo(f"{out / 'fit.json'}: settings, counts and the course of the fit")
     for path, text in pictures.items():

@@ -7,4 +7,6 @@ from nfpde.estimation.fit import Method as Method
 from nfpde.estimation.fit import fit as fit
 from nfpde.estimation.nfpde import NfpdeTrainer as NfpdeTrainer
 from nfpde.estimation.pictures import draw_fit as draw_fit
+from nfpde.estimation.report import write_report as write_report
 from nfpde.estimation.result import FitResult as FitResult
+from nfpde.estimation.tell import tell as tell

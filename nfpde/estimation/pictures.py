@@ -13,8 +13,9 @@ from nfpde.estimation.result import FitResult
 _PANELS = {
     "loss": "squared error of what explains the data",
     "noise": "typical residual, as learned from the data",
+    "held_out": "log likelihood of robots left out, above that under the bounds alone [nats]",
     "beta": "temperature beta",
-    "effective": "effective samples per transition",
+    "effective": "effective samples",
 }
 
 
@@ -36,14 +37,15 @@ def draw_fit(result: FitResult, folder: str | Path, nominal: ArrayLike | None = 
 
 
 def _draw_history(result: FitResult, path: Path) -> Path:
-    steps = [row["iteration"] for row in result.history]
-    panels = {k: v for k, v in _PANELS.items() if k in result.history[-1]}
+    # the rounds of the population have other figures than those of the robots
+    panels = {k: v for k, v in _PANELS.items() if any(k in row for row in result.history)}
     figure = Figure(figsize=(7.0, 2.0 * len(panels) + 0.6), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for ax, (key, text) in zip(axes, panels.items(), strict=True):
-        ax.plot(steps, [row[key] for row in result.history], color="#0072B2", lw=1.5)
+        rows = [row for row in result.history if key in row]
+        ax.plot([row["iteration"] for row in rows], [row[key] for row in rows], ".-", color="#0072B2", lw=1.5)
         ax.set_title(text, fontsize=10, loc="left")
-        if key != "effective":
+        if key not in ("effective", "held_out") and all(row[key] > 0 for row in rows):
             ax.set_yscale("log")
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)

@@ -82,7 +82,7 @@ def _words(name: str, gains: list[dict[str, Any]], longer: float | None, blind: 
     else:
         text = f"{name}: no faster joint or larger command helps much"
     if longer is not None and longer < 1000:
-        text += f"; about {longer:.2g} times as much of the same would tell it to {WANTED:.0%} of its bounds' width"
+        text += f"; about {longer:.0f} times as much of the same would tell it to {WANTED:.0%} of its bounds' width"
     return text
 
 

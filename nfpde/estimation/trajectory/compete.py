@@ -14,7 +14,6 @@ from nfpde.estimation.trajectory.gaussians import Gaussians, joined
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.pool import Ratios
-from nfpde.estimation.trajectory.population import smoothing_matrix
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -87,6 +86,7 @@ def compete(
     posteriors: Sequence[LocalPosterior],
     quadratics: Sequence[Quadratic],
     ratios: Ratios,
+    smoothing: Array,
     among: Collection[str] | None = None,
 ) -> Competition:
     """Fit every candidate to all robots and to all but each fold, and score it on the robots left out.
@@ -95,15 +95,18 @@ def compete(
         posteriors: of two robots or more, with the uniform prior.
         quadratics: their likelihoods.
         ratios: what their recordings say.
+        smoothing: covariance that makes the robots' posteriors predict others, (D, D): see `smoothing_matrix`.
         among: names of the candidates that take part; None for all. `SMOOTHED` always does.
     """
     robots = len(posteriors)
     fold = np.arange(robots) % min(robots, FOLDS)
     best = np.array([p.means[0] for p in posteriors])
     spread = np.sqrt(np.maximum(best.var(0, ddof=1), 1e-12))
-    smoothing, _ = smoothing_matrix(posteriors)
     fitters: dict[str, Fitter] = {SMOOTHED: lambda own: kernels(posteriors, own, smoothing)}
     if robots <= MOST_KERNELS:
+        fitters[f"{SMOOTHED}, each informed by the others"] = partial(
+            _informed, posteriors, quadratics, smoothing=smoothing
+        )
         for width in KERNELS:
             kernel = np.diag((width * spread) ** 2)
             fitters[f"a Gaussian for every robot, {width:g} of their spread wide"] = partial(

@@ -18,6 +18,7 @@ from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.pool import Pool, Ratios
+from nfpde.estimation.trajectory.population import smoothing_matrix
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.sampling import (
     MOST,
@@ -29,6 +30,10 @@ from nfpde.estimation.trajectory.sampling import (
 )
 
 Array = NDArray[np.float64]
+
+
+DRAWS_IN_ALL = 20_000
+"""Draws of all robots in a round from which more would change no population."""
 
 
 @dataclass
@@ -55,6 +60,7 @@ class PopulationEstimator:
     def __post_init__(self) -> None:
         self.robots, self.features = len(self.posteriors), self.posteriors[0].means.shape[1]
         self.quadratics = [Quadratic.of(p) for p in self.posteriors]
+        self.smoothing, _ = smoothing_matrix(self.posteriors)
         self.rng = np.random.default_rng([self.seed, 1])
         self.pool = Pool.empty(self.robots, self.features)
         self.ratios: Ratios | None = None
@@ -68,8 +74,9 @@ class PopulationEstimator:
 
     @property
     def draws(self) -> int:
-        """Draws for every robot in a round."""
-        return max(self.config.draws, 4 * self.features)
+        """Draws for every robot in a round: fewer where many robots share what there is to learn."""
+        fewest = max(30, 4 * self.features)
+        return max(fewest, min(self.config.draws, DRAWS_IN_ALL // self.robots))
 
     @property
     def done(self) -> bool:
@@ -154,7 +161,7 @@ class PopulationEstimator:
     def _weigh(self) -> None:
         self.ratios = self.pool.ratios(self.quadratics, self.least)
         if self.robots > 1:
-            self.competition = compete(self.posteriors, self.quadratics, self.ratios, self.among)
+            self.competition = compete(self.posteriors, self.quadratics, self.ratios, self.smoothing, self.among)
 
     def _temperatures(self) -> list[float]:
         return [
