@@ -124,6 +124,17 @@ def test_unexplained_gap_shows_the_force_left_over(robots):
     assert "The force that is left over" not in page(gap_report(robots["humanoid"], "effects"))
 
 
+def test_headline_places_what_is_left(robots):
+    """Without accepted effects it lies where the gap lies; then where a force is still missing."""
+    report = gap_report(robots["arm"], "unexplained")
+    assert report.residual_force is not None
+    elsewhere = replace(report, residual_force=replace(report.residual_force, joint="shoulder", share=-0.01))
+    assert headline(elsewhere).startswith("A gap remains at elbow that")
+    assert "next to nothing" in page(elsewhere)
+    partly = replace(elsewhere, effects=report.ranking[:1])
+    assert headline(partly).startswith("A gap remains at shoulder besides coulomb_friction at elbow that")
+
+
 def test_no_gap_colours_no_joint(robots):
     """Shares of mere noise would mislead: the joints stay bare and no map is drawn."""
     source = page(gap_report(robots["arm"], "no_gap"))

@@ -68,7 +68,7 @@ def ranking(report: GapReport) -> str:
     others = [c for c in report.ranking if (c.effect, c.target) not in accepted]
     causes = [*report.effects, *others]
     if not causes:
-        return "<p>No candidate was worth a refit: the base fit leaves nothing that one of them could remove.</p>"
+        return "<p>No candidate was worth a refit: in the screening none removed more than noise would.</p>"
     rows = []
     for i, c in enumerate(causes):
         if i < len(accepted):

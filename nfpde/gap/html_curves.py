@@ -99,8 +99,11 @@ def residual_force(force: ResidualForce, unit: str) -> str:
                 panel.bar(a, f - e, f + e, "after")
                 panel.dot(a, f, "after", 2.2)
         panels.append(panel.svg())
+    what = f"A smooth force of these three would remove <b>{percent(force.share)}</b> of what is left."
+    if not force.share >= 0.01:
+        what = "A smooth force of these three removes next to nothing of what is left: its cause lies elsewhere."
     return (
         f"<p>The force on <b>{text(force.joint)}</b> that the model still lacks, one point for each held-out window "
-        f"with its standard error. A smooth force of these three would remove <b>{percent(force.share)}</b> of what "
-        f'is left.</p><div class="panels">{"".join(panels)}</div>'
+        f"with its standard error. {what}</p>"
+        f'<div class="panels">{"".join(panels)}</div>'
     )

@@ -81,7 +81,9 @@ def headline(report: GapReport) -> str:
     if report.verdict == "no_gap":
         return "There is no sim-to-real gap beyond the noise: the model, with its parameters fitted, is good."
     force = report.residual_force
-    joint = force.joint if force is not None else report.where[0].joint if report.where else ""
+    # `where` is of the gap before any effect; what accepted effects leave may lie elsewhere, where the force acts
+    joint = report.where[0].joint if report.where else ""
+    joint = force.joint if force is not None and causes else joint
     place = f" at {joint}" if joint else ""
     found = f" besides {named}" if named else ""
     return f"A gap remains{place}{found} that no effect in the library explains."
