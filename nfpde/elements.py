@@ -101,11 +101,11 @@ def joint_qpos(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.in
 def actuator_ctrls(model: mujoco.MjModel, actuators: NDArray[np.intp]) -> NDArray[np.intp]:
     """Commands (indices into ctrl) of the given actuators; most have one, a `pid` or `dcmotor` may have several."""
     parts = [int(model.actuator_ctrladr[i]) + np.arange(int(model.actuator_ctrlnum[i])) for i in actuators]
-    return np.concatenate(parts).astype(np.intp)
+    return np.concatenate([np.zeros(0), *parts]).astype(np.intp)
 
 
 def _spread(
     model: mujoco.MjModel, joints: NDArray[np.intp], start: NDArray[np.int32], widths: dict[int, int]
 ) -> NDArray[np.intp]:
     parts = [int(start[j]) + np.arange(widths[int(model.jnt_type[j])]) for j in joints]
-    return np.concatenate(parts).astype(np.intp)
+    return np.concatenate([np.zeros(0), *parts]).astype(np.intp)

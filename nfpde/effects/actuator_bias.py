@@ -35,6 +35,6 @@ class ActuatorBias(Effect):
         return out
 
     def screened(self, scales: DataScales) -> Array:
-        """A small and a large offset to both sides."""
+        """A small and a large offset."""
         most = self.parameters[0].high
-        return np.array([[share * most] for share in (0.03, 0.2, -0.03, -0.2)])
+        return np.array([[share * most] for share in (0.03, 0.2)])

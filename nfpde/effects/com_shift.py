@@ -30,10 +30,9 @@ class ComShift(Effect):
         return {f"shift_{axis}": (-far, far) for axis in "xyz"}
 
     def screened(self, scales: DataScales) -> Array:
-        """A little and much along every axis, both ways."""
+        """Some way along every axis."""
         far = self.parameters[0].high
-        axes = np.vstack([np.eye(3), -np.eye(3)])
-        return far * np.vstack([0.05 * axes, 0.3 * axes])
+        return 0.15 * far * np.eye(3)
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Move the centre."""

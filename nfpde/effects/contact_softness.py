@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, cast
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -26,7 +26,7 @@ class ContactSoftness(Effect):
     name = "contact_softness"
     kind = None
     whole = "contact"
-    quantities: tuple[Quantity, ...] = (
+    quantities = (
         Quantity("time_constant", "s", 1e-5, math.inf, neutral=0.02, log=True),
         Quantity("damping_ratio", "-", 1e-3, math.inf, neutral=1.0, log=True),
     )
@@ -55,13 +55,13 @@ class ContactSoftness(Effect):
         """The effect, bound: its neutral values are the model's own."""
         return [e.bind(model) for e in super().candidates(model, scales)]
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:
             BadEffect: nothing can touch the world, or the model gives stiffness and damping (negative `solref`).
         """
-        bound = cast(ContactSoftness, super().bind(model))
+        bound = super().bind(model)
         bound.ground, bound.robot, bound.pairs = touching(model)
         if not len(bound.ground) or not len(bound.robot):
             raise BadEffect(f"{self.name}: nothing in this model can touch the world")

@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -95,7 +95,8 @@ class Effect:
     name: ClassVar[str]
     kind: ClassVar[str | None]
     """Kind of element it acts on (`joint`, `actuator`, `body`), or None."""
-    quantities: ClassVar[tuple[Quantity, ...]]
+    quantities: tuple[Quantity, ...]
+    """Its parameters; an effect whose neutral values are the model's own has others once it is bound."""
     default_bounds: ClassVar[dict[str, tuple[float, float]]] = {}
     step_fields: ClassVar[tuple[str, ...]] = ()
     """mjModel fields that `step` writes."""
@@ -139,7 +140,7 @@ class Effect:
             )
         return parameter
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """A copy that knows its target's `ids`, and a joint's `dofs` and `qposadr`, or an actuator's `ctrls`.
 
         Raises:
@@ -193,10 +194,11 @@ class Effect:
         return found
 
     def screened(self, scales: DataScales) -> Array:
-        """Parameter values to try first, from small to large and in both directions, (K, P), inside the bounds.
+        """Parameter values to try first, from small to large, (K, P), inside the bounds.
 
-        The base moves one parameter at a time from neutral, by 4 %, 15 % and 50 % of the way to its bounds; the
-        parameters that only shape the effect stay in the middle of theirs.
+        Where a parameter may go both ways one side is enough: a diagnosis also tries the mirror image. The base moves
+        one parameter at a time from neutral, by 4 %, 15 % and 50 % of the way to its upper bound (or to its lower one,
+        if neutral is the upper); parameters that only shape the effect stay in the middle of theirs.
         """
         low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
         start = np.array([q.neutral for q in self.quantities])
@@ -207,16 +209,14 @@ class Effect:
         for i, q in enumerate(self.quantities):
             if q.shape_only:
                 continue
-            for end in (high[i], low[i]):
-                if np.isclose(end, q.neutral):
-                    continue
-                for share in _SHARES:
-                    row = start.copy()
-                    if q.log and min(end, q.neutral) > 0:
-                        row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
-                    else:
-                        row[i] = q.neutral + share * (end - q.neutral)
-                    rows.append(row)
+            end = low[i] if np.isclose(high[i], q.neutral) else high[i]
+            for share in _SHARES:
+                row = start.copy()
+                if q.log and min(end, q.neutral) > 0:
+                    row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
+                else:
+                    row[i] = q.neutral + share * (end - q.neutral)
+                rows.append(row)
         margin = 1e-6 * (high - low)
         return np.clip(np.array(rows), low + margin, high - margin)
 

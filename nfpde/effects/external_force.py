@@ -30,10 +30,9 @@ class ExternalForce(Effect):
         return {f"force_{axis}": (-2 * weight, 2 * weight) for axis in "xyz"}
 
     def screened(self, scales: DataScales) -> Array:
-        """Small and large along every axis, both ways."""
+        """Some along every axis."""
         most = self.parameters[0].high
-        axes = np.vstack([np.eye(3), -np.eye(3)])
-        return most * np.vstack([0.01 * axes, 0.1 * axes])
+        return 0.03 * most * np.eye(3)
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Push."""

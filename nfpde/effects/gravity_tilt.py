@@ -30,9 +30,8 @@ class GravityTilt(Effect):
         return {"roll": (-0.35, 0.35), "pitch": (-0.35, 0.35)}
 
     def screened(self, scales: DataScales) -> Array:
-        """One and six degrees, both ways about both axes."""
-        axes = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        return np.vstack([0.02 * axes, 0.1 * axes])
+        """Three degrees about both axes."""
+        return 0.05 * np.eye(2)
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Turn gravity."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, cast
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -27,7 +27,7 @@ class GroundFriction(Effect):
     name = "ground_friction"
     kind = None
     whole = "contact"
-    quantities: tuple[Quantity, ...] = (Quantity("sliding", "-", 0.0, math.inf, neutral=-1.0, log=True),)
+    quantities = (Quantity("sliding", "-", 0.0, math.inf, neutral=-1.0, log=True),)
     sentence = "The ground is more or less slippery than in the model."
     confounders = ("contact_softness",)
     default_bounds: ClassVar[Bounds] = {"sliding": (0.05, 3.0)}
@@ -46,13 +46,13 @@ class GroundFriction(Effect):
         """The effect, bound: its neutral value is the model's own."""
         return [e.bind(model) for e in super().candidates(model, scales)]
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:
             BadEffect: nothing can touch the world.
         """
-        bound = cast(GroundFriction, super().bind(model))
+        bound = super().bind(model)
         bound.ground, bound.robot, bound.pairs = touching(model)
         if not len(bound.ground) or not len(bound.robot):
             raise BadEffect(f"{self.name}: nothing in this model can touch the world")

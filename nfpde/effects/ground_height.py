@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -34,13 +34,13 @@ class GroundHeight(Effect):
         far = 0.2 * scales.length
         return {"height": (-far, far)} if len(ground) and len(robot) else None
 
-    def bind(self, model: mujoco.MjModel) -> Effect:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:
             BadEffect: nothing can touch the world.
         """
-        bound = cast(GroundHeight, super().bind(model))
+        bound = super().bind(model)
         bound.ground = touching(model)[0]
         if not len(bound.ground):
             raise BadEffect(f"{self.name}: nothing in this model can touch the world")
@@ -49,7 +49,7 @@ class GroundHeight(Effect):
     def screened(self, scales: DataScales) -> Array:
         """A little and more, up and down."""
         far = self.parameters[0].high
-        return far * np.array([[0.01], [0.1], [-0.01], [-0.1]])
+        return far * np.array([[0.01], [0.1], [-0.03]])
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Raise the ground."""

@@ -31,8 +31,8 @@ class MotorStrength(Effect):
         return dict(cls.default_bounds) if element >= 0 else None
 
     def screened(self, scales: DataScales) -> Array:
-        """Weaker and stronger by a little and by much."""
-        return np.array([[0.95], [0.8], [0.5], [1.05], [1.3]])
+        """Weaker by a little and by much."""
+        return np.array([[0.95], [0.7]])
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Scale gain and bias."""

@@ -42,13 +42,14 @@ class Payload(Effect):
         return {"mass": (0.0, mass), **places}
 
     def screened(self, scales: DataScales) -> Array:
-        """Light and heavy, at the centre and to every side."""
+        """Light at the centre, heavier to every side."""
         mass = self.parameters[0].high
         middle = np.array([0.5 * (p.low + p.high) for p in self.parameters[1:]])
         far = np.array([0.5 * (p.high - p.low) for p in self.parameters[1:]]) / 1.5
-        rows = [[share * mass, *middle] for share in (0.01, 0.1)]
-        rows += [[0.05 * mass, *(middle + side * far)] for side in np.vstack([np.eye(3), -np.eye(3)])]
-        return np.array(rows)
+        sides = np.diag(far)
+        return np.array(
+            [[0.02 * mass, *middle], *([0.05 * mass, *(middle + s * side)] for side in sides for s in (1, -1))]
+        )
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Add the mass; the parallel-axis theorem moves the inertia to the new centre."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -45,13 +45,13 @@ class TorqueLimit(Effect):
         typical = 0.1 * self.parameters[0].high
         return typical * np.array([[0.5], [0.8], [1.2], [1.7]])
 
-    def bind(self, model: mujoco.MjModel) -> TorqueLimit:
+    def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; the actuators must act on joints with a limited force range or none.
 
         Raises:
             BadEffect: an actuator that acts on no hinge or slide.
         """
-        bound = cast(TorqueLimit, super().bind(model))
+        bound = super().bind(model)
         joints = [_joint(model, int(i)) for i in bound.ids]
         if min(joints) < 0:
             raise BadEffect(f"{self.name} on {self.target!r}: it needs actuators that act on a hinge or a slide")

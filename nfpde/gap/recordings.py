@@ -20,7 +20,7 @@ LEAST_WINDOWS = 240
 MOST_STEPS, LEAST_STEPS = 60, 4
 """Control steps of a window."""
 
-MOST_WINDOWS = 200
+MOST_WINDOWS = 160
 """Windows used of each half: more tell little that these do not."""
 
 LEAST_USED = 80

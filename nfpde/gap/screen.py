@@ -91,23 +91,30 @@ def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, chang
     """Best scaling of one change, and of all together."""
     neutral = np.array([q.neutral for q in effect.quantities])
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+    decisive = [i for i, q in enumerate(effect.quantities) if not q.shape_only]
+    both_ways = bool(((low < neutral) & (neutral < high))[decisive].all())
+    least = -_MOST_SCALE if both_ways else 0.0
     norms = (changes**2).sum(1)
     along = -changes @ residual
-    scale = np.clip(along / np.maximum(norms, 1e-300), 0.0, _MOST_SCALE)
+    scale = np.clip(along / np.maximum(norms, 1e-300), least, _MOST_SCALE)
     single = scale * along - 0.5 * scale**2 * norms
     best = int(single.argmax())
-    guesses = [neutral + scale[best] * (values[best] - neutral), values[best]]
+    guesses = [values[best]] if scale[best] > 0 else [neutral - (values[best] - neutral)]
+    reachable = bool(((neutral >= low) & (neutral <= high)).all())  # some are neutral at infinity only
+    if reachable:
+        guesses.append(neutral + scale[best] * (values[best] - neutral))
     explained, change = float(single[best]), changes[best]
     if len(values) > 1 and explained > 0:
         gram = changes @ changes.T
         ridge = 1e-9 * max(float(np.trace(gram)), 1e-300)
         triangle = np.linalg.cholesky(gram + ridge * np.eye(len(gram)))
-        answer = lsq_linear(triangle.T, np.linalg.solve(triangle, along), bounds=(0.0, _MOST_SCALE))
+        answer = lsq_linear(triangle.T, np.linalg.solve(triangle, along), bounds=(least, _MOST_SCALE))
         mix = np.asarray(answer.x)
         together = float(mix @ along - 0.5 * mix @ gram @ mix)
         if together > explained:
             explained, change = together, mix @ changes
-            guesses.append(neutral + mix @ (values - neutral))
+            if reachable:
+                guesses.append(neutral + mix @ (values - neutral))
     shape = [i for i, q in enumerate(effect.quantities) if q.shape_only]
     kept = np.array(guesses)
     kept[:, shape] = values[best, shape]

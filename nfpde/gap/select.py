@@ -24,6 +24,9 @@ MOST_EFFECTS = 3
 WORTH = 0.01
 """Share of the gap, as it was before any effect, that an effect must remove to be named: less is of no use."""
 
+FLOOR_ERROR = 0.1
+"""Relative error to be expected of the noise floor."""
+
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
@@ -67,7 +70,7 @@ class Selection:
         """Select; returns the final trial and the accepted effects in the order of their acceptance."""
         current, accepted = base, list[Accepted]()
         first_gap = float(self.yardstick.gap(base.held).mean())
-        while len(accepted) < MOST_EFFECTS:
+        while len(accepted) < MOST_EFFECTS and not (accepted and self._at_floor(current)):
             self.report(f"screening for effect {len(accepted) + 1}")
             trials, screened = self._round(current, [a.effect for a in accepted])
             if not self.ranking:
@@ -80,6 +83,11 @@ class Selection:
             if len(accepted) > 1:
                 current, accepted = self._second_look(base, current, accepted, first_gap)
         return current, accepted
+
+    def _at_floor(self, trial: Trial) -> bool:
+        """Whether noise alone would leave as much."""
+        floor = float(self.yardstick.squares(self.yardstick.noise).mean())
+        return float(self.yardstick.gap(trial.held).mean()) < (1 + FLOOR_ERROR) * floor
 
     def without(self, trial: Trial, index: int) -> Trial:
         """The trial without one of its effects, refitted."""
@@ -102,7 +110,7 @@ class Selection:
             replays.append(self._replay([*current.fit.replay.effects, effect]))
             return replays[-1]
 
-        screened = screen(self.court.fitter, base, open_ones, replay_with)
+        screened = screen(*self.court.screening(base), open_ones, replay_with)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = self.court.refit(base, screened)
         for replay in replays:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,10 @@ LEAST_GAIN = 5.0
 """Log density [nats] that a candidate must gain on the windows it is fitted to for a closer look: with dozens of
 candidates that much comes by chance, and more is needed where no fit saw the data."""
 
-FIRST, SECOND = 10, 6
+SCREENED = 60
+"""Windows that candidates are screened on."""
+
+FIRST, SECOND = 8, 4
 """Candidates refitted roughly, and to the end."""
 
 
@@ -58,6 +61,13 @@ class Court:
     fitter: Fitter
     floor: Array
 
+    def screening(self, base: Fit) -> tuple[Fitter, Fit]:
+        """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them."""
+        windows = self.fitter.windows
+        some = np.unique(np.linspace(0, len(windows) - 1, SCREENED).round().astype(int))
+        part = replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
+        return Fitter(windows[some], self.fitter.horizons), part
+
     def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
         """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
         for _ in range(rounds):
@@ -79,12 +89,14 @@ class Court:
         if not screened:
             return []
         hopeful = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
+        some, part = self.screening(base)
         rough = []
         for s in hopeful:
             guesses = np.hstack([np.broadcast_to(base.xi, (len(s.guesses), len(base.xi))), s.guesses])
-            fit = self.fitter.start(s.replay, guesses, base.scatter)
-            fit.slopes[: len(base.xi)] = base.slopes
-            fit = self.fitter.improve(fit, 2, kept=len(base.xi))
+            fit = some.start(s.replay, guesses, base.scatter)
+            fit.slopes[: len(base.xi)] = part.slopes
+            fit = some.improve(fit, 2, kept=len(base.xi))
+            fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)
             if base.cost - fit.cost > LEAST_GAIN:
                 rough.append((s, self.fitter.rescale(fit, self.scatter(fit))))
         rough.sort(key=lambda pair: pair[1].cost)
