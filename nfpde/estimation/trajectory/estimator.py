@@ -12,6 +12,7 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
+from nfpde.errors import SimulationDiverged
 from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
@@ -97,6 +98,12 @@ class TrajectoryEstimator:
         c = self.candidates
         if c is None:
             raise RuntimeError("call step first")
+        for g, k in enumerate(self._best()):
+            if not np.isfinite(c.residuals[k]).all(1).any():
+                raise SimulationDiverged(
+                    f"every simulation of the recordings of {self.problem.names[g]} diverged: leave it out, or check "
+                    "its states (units, order of columns)"
+                )
         linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         return local_posteriors(c, self.robots)
 
@@ -107,6 +114,11 @@ class TrajectoryEstimator:
         shares = 0.1 + 0.8 * qmc.Sobol(len(space), rng=self.seed).random(1 << (n - 1).bit_length())[:n]
         z = np.tile(space.to_unconstrained(space.low + shares * space.width), (self.robots, 1))
         c = start(self.problem, z, np.repeat(np.arange(self.robots), n), self.noise)
+        if not any(np.isfinite(r).all(1).any() for r in c.residuals):
+            raise SimulationDiverged(
+                f"every simulation of the recordings diverged, from {n} starting points inside the bounds: check the "
+                "recorded states (units, order of columns), the control step and the bounds"
+            )
         self.noise = learn_noise(c.residuals, 0, self.problem.floor)
         reweigh(c, self.noise)
         self.candidates = c

@@ -46,17 +46,21 @@ def fit_trajectory(
     robots = together.robot_posteriors()
     knowledge = [Knowledge.of(space, p.means[0], p.fisher[0]) for p in together.posteriors]
     steps = problem.simulator.simulated_steps
+    errors, diverged = channel_errors(problem, np.array([p.means[0] for p in together.posteriors]))
     described = {
         "tells": describe_knowledge(knowledge),
         "record_next": record_next(problem, knowledge, together.noise),
-        "residuals": channel_errors(problem, np.array([p.means[0] for p in together.posteriors])),
+        "residuals": errors,
     }
     counted["simulated_steps"] += problem.simulator.simulated_steps - steps
     found = {
         "converged": estimator.alone.converged,
         "noise_degrees": estimator.alone.noise.degrees,
         "population": describe_population(together),
-        "robots": describe_robots(space, problem, together, robots),
+        "robots": [
+            row | {"diverged": n}
+            for row, n in zip(describe_robots(space, problem, together, robots), diverged, strict=True)
+        ],
         **described,
     }
     windows = problem.windows

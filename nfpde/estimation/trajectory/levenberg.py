@@ -93,7 +93,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
     """
     d = len(problem.simulator.space)
     for _ in range(iterations):
-        active = np.flatnonzero(~c.done & np.isfinite(c.cost))
+        active = np.flatnonzero(~c.done)
         if not len(active):
             return
         gradient = linearise(problem, c, noise, active)
@@ -165,6 +165,4 @@ def _slopes(problem: Problem, c: Candidates, which: Index, step: float) -> list[
 
 def _costs(residuals: list[Array], z: Array, noise: Noise) -> Array:
     prior = (log_expit(z) + log_expit(-z)).sum(1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        squares = np.array([noise.cost(((r @ noise.whitener) ** 2).sum(1)).sum() for r in residuals])
-    return np.where(np.isfinite(squares), squares, np.inf) - 2 * prior
+    return np.array([noise.total(r) for r in residuals]) - 2 * prior

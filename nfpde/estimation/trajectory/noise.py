@@ -11,6 +11,9 @@ from scipy.special import gammaln
 
 Array = NDArray[np.float64]
 
+DIVERGED = 1e30
+"""Squared white residual of a window whose simulation diverged, and the most there is: worse than any that did not."""
+
 _DEGREES = np.array([2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e6])
 """Degrees of freedom tried; the last is a Gaussian."""
 
@@ -36,6 +39,12 @@ class Noise:
     def cost(self, squares: Array) -> Array:
         """Twice the negative log density, up to a constant, of squared white residuals m = |r W|^2 (...)."""
         return (self.degrees + len(self.whitener)) * np.log1p(squares / self.degrees)
+
+    def total(self, residuals: Array) -> float:
+        """Cost of a whole recording (n, C); a window that diverged (NaN) costs `DIVERGED`."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = ((residuals @ self.whitener) ** 2).sum(1)
+        return float(self.cost(np.where(squares < DIVERGED, squares, DIVERGED)).sum())
 
     def weight(self, squares: Array) -> Array:
         """What a window counts in least squares: one in a Gaussian, little far out in the tails."""

@@ -58,12 +58,9 @@ class Pool:
         robots, _, d = fresh.shape
         owner = np.repeat(np.arange(robots), draws)
         cost = np.concatenate(
-            [
-                [noise.cost(((r @ noise.whitener) ** 2).sum(1)).sum() for r in residuals]
-                for residuals in problem.in_parts(fresh.reshape(-1, d), owner)
-            ]
+            [[noise.total(r) for r in residuals] for residuals in problem.in_parts(fresh.reshape(-1, d), owner)]
         )
-        log_likelihood = np.where(np.isfinite(cost), -0.5 * cost, -np.inf).reshape(robots, draws)
+        log_likelihood = -0.5 * cost.reshape(robots, draws)
         self.z = np.concatenate([self.z, fresh], axis=1)
         self.log_likelihood = np.concatenate([self.log_likelihood, log_likelihood], axis=1)
         self.rounds.append((draws, proposals))
@@ -84,7 +81,7 @@ class Pool:
             log_q = self.log_proposal(g)
             logs = self.log_likelihood[g] - log_q
             prior = box_log_density(self.z[g])
-            count = effective(logs + prior) if np.isfinite(logs).any() else 0.0
+            count = effective(logs + prior)
             fine = count >= least
             if not fine:
                 logs = quadratic.log_likelihood(self.z[g]) - log_q

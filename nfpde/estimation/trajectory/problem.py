@@ -103,7 +103,10 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
 
 def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:
     channels = simulator.states.channels
-    steps = np.asarray(resolution, dtype=np.float64)
+    try:
+        steps = np.asarray(resolution, dtype=np.float64)
+    except (TypeError, ValueError):
+        steps = np.array(np.nan)
     if steps.shape not in ((), (len(channels),)) or not (np.isfinite(steps) & (steps >= 0)).all():
         raise BadInput(
             f"resolution must be one number, or one for each of the {len(channels)} channels ({', '.join(channels)}), "

@@ -10,7 +10,7 @@ from nfpde.estimation.trajectory.problem import Problem
 Array = NDArray[np.float64]
 
 
-def channel_errors(problem: Problem, best: Array) -> dict[str, dict[str, float]]:
+def channel_errors(problem: Problem, best: Array) -> tuple[dict[str, dict[str, float]], list[int]]:
     """Root mean square residual of every channel at the end of a window, in the recorded units.
 
     Args:
@@ -18,21 +18,22 @@ def channel_errors(problem: Problem, best: Array) -> dict[str, dict[str, float]]
         best: parameters of every robot, z, (G, D).
 
     Returns:
-        For each channel `before` (every parameter in the middle of its bounds) and `after`; simulations that
-        diverged are left out.
+        For each channel `before` (every parameter in the middle of its bounds) and `after`, without the windows that
+        diverged; and the number of windows of each robot that diverge at its best parameters.
     """
     robots = np.arange(len(best))
     ndiff = problem.simulator.states.ndiff
-    errors = {}
+    errors, diverged = {}, []
     for name, z in (("before", np.zeros_like(best)), ("after", best)):
         squares = np.zeros(ndiff)
-        count = 0
+        count, diverged = 0, []
         for part in problem.in_parts(z, robots):
             for r in part:
                 last = (r * problem.unit)[:, -ndiff:]
                 sound = np.isfinite(last).all(1)
                 squares += (last[sound] ** 2).sum(0)
                 count += int(sound.sum())
+                diverged.append(int((~sound).sum()))
         errors[name] = np.sqrt(squares / max(count, 1))
     channels = problem.simulator.states.channels
-    return {c: {k: float(v[i]) for k, v in errors.items()} for i, c in enumerate(channels)}
+    return {c: {k: float(v[i]) for k, v in errors.items()} for i, c in enumerate(channels)}, diverged

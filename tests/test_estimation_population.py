@@ -1,0 +1,459 @@
+"""Importance samples and populations: against quadrature and closed forms, on robots that inform each other."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import logsumexp
+from scipy.stats import binom, multivariate_normal
+
+import nfpde
+from nfpde.estimation.trajectory import LocalPosterior, make_problem
+from nfpde.estimation.trajectory.compete import SMOOTHED, Candidate, Competition
+from nfpde.estimation.trajectory.em import fit_mixture, spread_out
+from nfpde.estimation.trajectory.gaussians import Gaussians, joined
+from nfpde.estimation.trajectory.likelihood import Quadratic, without_rounding
+from nfpde.estimation.trajectory.noise import Noise
+from nfpde.estimation.trajectory.pool import Pool, Ratios, box_log_density, effective
+from nfpde.estimation.trajectory.sampling import corrected, local_proposal, temperature
+from nfpde.estimation.trajectory.stages import TwoStages
+
+torch.set_num_threads(1)
+
+DT = 0.1
+SPACE = nfpde.ParameterSpace(
+    [nfpde.Parameter("gain", low=-10.0, high=10.0), nfpde.Parameter("drift", low=-10, high=10)]
+)
+
+
+def linear_step(x, u, xi):
+    """A first-order system that is linear in its parameters: x' = x + dt (gain u + drift)."""
+    return x + DT * (xi[:, :1] * u + xi[:, 1:2])
+
+
+def linear_simulator():
+    return nfpde.CallableSimulator(linear_step, SPACE, positions=["x"])
+
+
+def moments(name, xi, rng, count=12, noise=0.1, push=1.0):
+    """Recordings of two rows each of one robot: windows with independent noise on their ends."""
+    episodes = []
+    for k in range(count):
+        u, start = push * rng.normal(size=1), rng.normal(size=1)
+        end = start + DT * (xi[0] * u + xi[1]) + noise * rng.normal(size=1)
+        episodes.append(nfpde.Episode(f"{name}/{k}", [0, DT], [start, end], np.empty((2, 0)), [u, u], robot=name))
+    return episodes
+
+
+def both_stages(simulator, dataset, seed=0, resolution=None, horizon=1, **settings):
+    config = nfpde.TrajectoryConfig(horizon=horizon, **settings)
+    estimator = TwoStages(make_problem(simulator, dataset, horizon, resolution), config, seed)
+    while not estimator.done:
+        estimator.step()
+    assert estimator.together is not None
+    return estimator, estimator.together
+
+
+def some_gaussians(rng, k=3, d=2):
+    roots = rng.normal(size=(k, d, d))
+    weights = rng.uniform(0.5, 1, k)
+    return Gaussians(weights / weights.sum(), rng.normal(size=(k, d)), roots @ roots.swapaxes(1, 2) + 0.1 * np.eye(d))
+
+
+def test_density_of_a_mixture_is_scipys():
+    """Every component, its weight and their sum, against scipy.stats."""
+    rng = np.random.default_rng(0)
+    g, z = some_gaussians(rng), rng.normal(size=(20, 2))
+    parts = [
+        np.log(w) + multivariate_normal(m, c).logpdf(z)
+        for w, m, c in zip(g.weights, g.means, g.covariances, strict=True)
+    ]
+    np.testing.assert_allclose(g.log_density(z), logsumexp(parts, axis=0), rtol=1e-10)
+
+
+def test_draws_have_the_moments_of_the_mixture():
+    """Mean and covariance of 20 000 draws, to five standard errors of their largest entry."""
+    rng = np.random.default_rng(1)
+    g = some_gaussians(rng)
+    z = g.sample(20_000, rng)
+    mean = g.weights @ g.means
+    steps = g.means - mean
+    covariance = np.einsum("k,kij->ij", g.weights, g.covariances) + np.einsum("k,ki,kj->ij", g.weights, steps, steps)
+    np.testing.assert_allclose(z.mean(0), mean, atol=5 * np.sqrt(covariance.max() / 20_000))
+    np.testing.assert_allclose(np.cov(z.T), covariance, atol=5 * 2 * covariance.max() / np.sqrt(20_000))
+
+
+def test_posterior_with_a_population_for_prior_is_bayes_rule():
+    """Quadratic likelihood times mixture, normalised, against the same product on a fine grid."""
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(2, 2))
+    quadratic = Quadratic(
+        np.array([[0.5, -0.3]]), np.zeros(1), np.array([[0.2, -0.4]]), (root @ root.T + np.eye(2))[None]
+    )
+    population = some_gaussians(rng)
+    axis = np.linspace(-8, 8, 400)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    logs = quadratic.log_likelihood(grid) + population.log_density(grid)
+    exact = np.exp(logs - logsumexp(logs)) / (axis[1] - axis[0]) ** 2
+    # sums over a grid far finer than anything in the integrand are exact to rounding
+    np.testing.assert_allclose(np.exp(quadratic.times(population).log_density(grid)), exact, atol=1e-9)
+
+
+def test_rounding_errors_are_no_information():
+    """A flat direction beside one that is 1e18 times sharper stays flat."""
+    direction = np.array([3.0, 4.0, 0.0]) / 5
+    sharp = 1e18 * np.outer(direction, direction)
+    noisy = sharp + np.diag([0.0, 0.0, 0.5])
+    cleaned = without_rounding(noisy)
+    flat = np.array([4.0, -3.0, 0.0]) / 5
+    assert flat @ cleaned @ flat < 1e-6 * 1e18
+    assert np.linalg.eigvalsh(cleaned / 1e18).min() > -1e-15
+    np.testing.assert_allclose(cleaned[2, 2], 0.5, rtol=1e-9)
+
+
+def test_evidence_is_the_integral_over_the_population():
+    """Held-out likelihoods from importance samples equal quadrature over z, for a narrow and a wide population."""
+    space = nfpde.ParameterSpace([nfpde.Parameter("gain", low=-4.0, high=4.0)])
+    simulator = nfpde.CallableSimulator(lambda x, u, xi: x + DT * xi * u, space, positions=["x"])
+    rng = np.random.default_rng(3)
+    episodes = []
+    for k in range(6):
+        u, start = rng.normal(size=1), rng.normal(size=1)
+        end = start + DT * 1.0 * u + 0.1 * rng.normal(size=1)
+        episodes.append(nfpde.Episode(f"{k}", [0, DT], [start, end], np.empty((2, 0)), [u, u], robot="one"))
+    problem = make_problem(simulator, nfpde.Dataset(episodes), 1)
+    noise = Noise(np.eye(1) * problem.unit / 0.1, 1e6)
+    grid = np.linspace(-9, 9, 4001)[:, None]
+    residuals = problem.residuals(space.to_physical(grid), np.zeros(len(grid), int))
+    exact = np.array([-0.5 * noise.cost(((r @ noise.whitener) ** 2).sum(1)).sum() for r in residuals])
+
+    def integral(log_prior):
+        return float(logsumexp(exact + log_prior) + np.log(grid[1, 0] - grid[0, 0]))
+
+    pool = Pool.empty(1, 1)
+    for width in (0.5, 2.0):  # two rounds of different proposals, weighed together
+        proposal = Gaussians(np.ones(1), np.full((1, 1), 0.3), np.full((1, 1, 1), width**2))
+        pool.add(problem, noise, [proposal], 2000, rng)
+    own = LocalPosterior(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1, 1)))
+    ratios = pool.ratios([Quadratic.of(own)], 10.0)
+    assert ratios.sampled.all()
+    for centre, width in ((0.5, 0.2), (-0.5, 1.0)):
+        population = Gaussians(np.ones(1), np.full((1, 1), centre), np.full((1, 1, 1), width**2))
+        expected = integral(population.log_density(grid)) - integral(box_log_density(grid))
+        logs = ratios.log_ratio[0] + population.log_density(ratios.z[0])
+        # four standard errors of a weighted mean with that many effective draws
+        error = 4 / np.sqrt(effective(logs))
+        assert ratios.log_evidence(0, population) == pytest.approx(expected, abs=error)
+
+
+def test_a_likelihood_too_sharp_to_sample_is_laplaces():
+    """Where a handful of draws would take all the weight, the quadratic likelihood stands in, and it is said."""
+    rng = np.random.default_rng(4)
+    wide = LocalPosterior(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 0.5 * np.ones((1, 1, 1)))
+    proposal = local_proposal(wide)
+    z = proposal.sample(200, rng)[None]
+    pool = Pool(z, -0.5 * (z[..., 0] / 1e-5) ** 2, [(200, [proposal])])
+    ratios = pool.ratios([Quadratic.of(wide)], 10.0)
+    assert ratios.effective[0] < 10
+    assert not ratios.sampled[0]
+    logs = ratios.log_ratio[0] + box_log_density(z[0])
+    assert effective(logs) > 100
+    assert logsumexp(logs) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_temperature_leaves_as_many_draws_as_asked_for():
+    """Weights that are even need no tempering; others are flattened just enough."""
+    z = np.zeros((500, 1))
+    assert temperature(np.zeros(500), z, 50.0) == 1.0
+    logs = -0.5 * np.linspace(-100, 100, 500) ** 2
+    exponent = temperature(logs, z, 50.0)
+    assert 0 < exponent < 1
+    assert effective(exponent * logs) == pytest.approx(50.0, rel=1e-3)
+
+
+def test_corrected_posterior_has_the_moments_of_its_draws():
+    """With many draws of the true posterior, a wrong Gaussian moves to it."""
+    rng = np.random.default_rng(5)
+    wrong = Gaussians(np.ones(1), np.zeros((1, 2)), np.eye(2)[None])
+    z = np.array([0.4, -0.2]) + rng.normal(size=(20_000, 2)) * [0.5, 2.0]
+    found = corrected(wrong, z, np.full(len(z), 1 / len(z)))
+    np.testing.assert_allclose(found.means[0], [0.4, -0.2], atol=5 * 2 / np.sqrt(20_000))
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariances[0])), [0.5, 2.0], rtol=0.03)
+
+
+def sharp(points):
+    """Ratios of robots that are known to be at `points` (G, D)."""
+    return Ratios(points[:, None], np.zeros((len(points), 1)), np.ones(len(points)), np.ones(len(points), bool))
+
+
+@pytest.mark.parametrize("tied", [True, False])
+def test_mixture_finds_two_kinds_of_robot(tied):
+    """Centres, widths and shares of two clouds of sharply known robots."""
+    rng = np.random.default_rng(6)
+    points = np.concatenate([[-3.0, 0.0] + 0.2 * rng.normal(size=(60, 2)), [3.0, 1.0] + 0.2 * rng.normal(size=(30, 2))])
+    found = fit_mixture(sharp(points), np.arange(90), spread_out(points, 2), 0.04 * np.eye(2), tied=tied)
+    order = np.argsort(found.means[:, 0])
+    # five standard errors of a mean of 30; half a robot is added to each share
+    np.testing.assert_allclose(found.means[order], [[-3, 0], [3, 1]], atol=5 * 0.2 / np.sqrt(30))
+    np.testing.assert_allclose(found.weights[order], [2 / 3, 1 / 3], atol=0.01)
+    np.testing.assert_allclose(np.sqrt(np.einsum("kii->ki", found.covariances)), 0.2, rtol=0.4)
+
+
+def test_the_smoothed_posteriors_stay_where_nothing_is_surely_better():
+    """A gain within its standard error over the robots does not replace them; a sure one does."""
+    one = Gaussians(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)))
+    rng = np.random.default_rng(7)
+    base = rng.normal(size=10)
+
+    def winner(gain):
+        rows = [Candidate(SMOOTHED, one, [one], base), Candidate("other", one, [one], base + gain)]
+        return Competition(rows, np.zeros(10, int)).winner.name
+
+    spread = np.tile([1.0, -1.0], 5)
+    assert winner(spread + 0.1) == SMOOTHED
+    assert winner(0.1 * spread + 0.1) == "other"
+    assert winner(-0.5 + 0 * spread) == SMOOTHED
+
+
+@pytest.fixture(scope="module")
+def informed():
+    """Twelve robots of one kind; the recordings of the last never push, and cannot tell its gain."""
+    rng = np.random.default_rng(8)
+    true = np.array([2.0, -1.0]) + 0.3 * rng.normal(size=(12, 2))
+    episodes = [e for i, xi in enumerate(true) for e in moments(f"r{i}", xi, rng, 20, 0.02, push=float(i < 11))]
+    result = nfpde.fit(linear_simulator(), nfpde.Dataset(episodes), quiet=True)
+    return true, result
+
+
+def test_others_inform_the_robot_that_cannot_tell(informed):
+    """Its own recordings say nothing of the gain; the population narrows it to what robots differ by."""
+    true, result = informed
+    last = result.info["robots"][11]["parameters"]["gain"]
+    assert last["known"] < 0.1
+    assert last["words"] == "not told by these recordings"
+    assert last["cramer_rao"] is None
+    assert last["known_with_others"] > 0.7
+    assert last["5%"] < true[11, 0] < last["95%"]
+    assert result.info["population"]["informs_robots"]
+    assert result.info["population"]["held_out"] >= result.info["population"]["held_out_smoothed"]
+
+
+def test_population_covers_the_robots_and_no_more(informed):
+    """Its mean is theirs, and its width between what they differ by and thrice that."""
+    true, result = informed
+    std = true.std(0, ddof=1)
+    # the smoothing, and the robot that cannot tell, make it wider; five standard errors for the mean
+    np.testing.assert_allclose(result.distribution.mean(), true.mean(0), atol=5 * 0.3 / np.sqrt(12))
+    assert (result.distribution.std() > 0.7 * std).all()
+    assert (result.distribution.std() < 3 * std).all()
+
+
+def test_one_robot_is_its_own_population():
+    """Nothing informs it, and both answers are its posterior."""
+    rng = np.random.default_rng(9)
+    result = nfpde.fit(linear_simulator(), nfpde.Dataset(moments("one", (1.0, 0.5), rng, 30)), quiet=True)
+    assert result.info["population"]["candidates"] == []
+    assert not result.info["population"]["informs_robots"]
+    assert result.episodes is not None
+    assert result.episodes.sample(50, seed=1).tolist() == result.distribution.sample(50, seed=1).tolist()
+
+
+def test_both_stages_go_on_after_an_interruption():
+    """State and restore after every round of both, through JSON, against a run that never stopped."""
+    rng = np.random.default_rng(10)
+    dataset = nfpde.Dataset([e for i in range(4) for e in moments(f"{i}", (1.0 + i, 0.5), rng)])
+    whole, together = both_stages(linear_simulator(), dataset)
+    problem = make_problem(linear_simulator(), dataset, 1)
+    parts = TwoStages(problem, nfpde.TrajectoryConfig(), 0)
+    while not parts.done:
+        parts.step()
+        tensors, info = parts.state()
+        parts = TwoStages(problem, nfpde.TrajectoryConfig(), 0)
+        parts.restore(tensors, json.loads(json.dumps(info)))
+    assert parts.together is not None
+    assert len(parts.history) == len(whole.history)
+    pairs = zip(together.robot_posteriors(), parts.together.robot_posteriors(), strict=True)
+    for a, b in [*pairs, (together.population, parts.together.population)]:
+        assert a.means.tolist() == b.means.tolist()
+        assert a.covariances.tolist() == b.covariances.tolist()
+
+
+def pendulum_step(state, u, xi):
+    """A damped pendulum, semi-implicit Euler in five parts of a step."""
+    angle, speed = state[:, 0], state[:, 1]
+    for _ in range(5):
+        speed = speed + DT / 5 * (-xi[:, 0] * np.sin(angle) - xi[:, 1] * speed + u[:, 0])
+        angle = angle + DT / 5 * speed
+    return np.stack([angle, speed], 1)
+
+
+def pendulum_space():
+    return nfpde.ParameterSpace(
+        [nfpde.Parameter("stiffness", low=4.0, high=16.0), nfpde.Parameter("damping", low=0, high=2)]
+    )
+
+
+@pytest.mark.parametrize("informed", [False, True])
+def test_credible_regions_of_pendulums_cover_the_truth(informed):
+    """60 pendulums of one population: 50 % and 90 % regions, with and without the others, hold the truth as often.
+
+    The regions are those of highest density: a truth lies in the one that holds the share of draws denser than it.
+    """
+    rng = np.random.default_rng(11)
+    space = pendulum_space()
+    true = np.array([9.0, 0.8]) + np.array([1.0, 0.15]) * rng.normal(size=(60, 2))
+    episodes = []
+    for i, xi in enumerate(true):
+        for k in range(15):  # two rows each, so that noise on the end stays out of the next start
+            u, state = rng.uniform(-3, 3, (1, 1)), rng.normal(size=(1, 2)) * [1.0, 2.0]
+            end = pendulum_step(state, u, xi[None]) + 0.05 * rng.normal(size=(1, 2))
+            rows = np.concatenate([state, end])
+            episodes.append(nfpde.Episode(f"{i}/{k}", [0, DT], rows[:, :1], rows[:, 1:], [u[0], u[0]], robot=f"{i}"))
+    simulator = nfpde.CallableSimulator(pendulum_step, space, ["angle"], ["speed"])
+    _, together = both_stages(simulator, nfpde.Dataset(episodes), starts=2)
+    assert together.informs
+    found = (
+        together.robot_posteriors()
+        if informed
+        else [Gaussians(p.weights, p.means, p.covariances) for p in together.posteriors]
+    )
+    z = space.to_unconstrained(true)
+    ranks = np.array(
+        [(p.log_density(p.sample(400, rng)) > p.log_density(z[i : i + 1])).mean() for i, p in enumerate(found)]
+    )
+    for share in (0.5, 0.9):
+        hits = int((ranks < share).sum())
+        # a correct method leaves this interval once in a thousand
+        assert binom.ppf(0.0005, 60, share) <= hits <= binom.ppf(0.9995, 60, share), (share, hits)
+
+
+def drifting(name, xi, rng, rows, noise=0.0):
+    u = rng.normal(size=(rows, 1))
+    x = np.concatenate([[[0.0]], np.cumsum(DT * (xi[0] * u[:-1] + xi[1]), axis=0)])
+    return nfpde.Episode(name, DT * np.arange(rows), x + noise * rng.normal(size=x.shape), np.empty((rows, 0)), u)
+
+
+def test_episodes_of_very_different_length():
+    """Each robot is known as well as the length of its recording allows: errors fall with the root of it."""
+    rng = np.random.default_rng(12)
+    lengths = [3, 20, 2000]
+    dataset = nfpde.Dataset([drifting(f"{n}", (1.0 + i, 0.5), rng, n, 0.05) for i, n in enumerate(lengths)])
+    _, together = both_stages(linear_simulator(), dataset)
+    widths = [np.sqrt(p.covariances[0][0, 0]) for p in together.posteriors]
+    assert widths[0] > 2 * widths[1] > 4 * widths[2]
+    long = SPACE.to_physical(together.posteriors[2].means[0])
+    np.testing.assert_allclose(long, [3.0, 0.5], atol=0.2)
+
+
+def test_windows_of_several_steps():
+    """With horizon 4 the noise-free truth is found as with horizon 1, from a quarter of the windows."""
+    rng = np.random.default_rng(13)
+    dataset = nfpde.Dataset([drifting(f"{i}", (1.0 + i, -0.5), rng, 41) for i in range(2)])
+    estimator, together = both_stages(linear_simulator(), dataset, horizon=4)
+    assert [len(m) for m in estimator.problem.members] == [10, 10]
+    for i, p in enumerate(together.posteriors):
+        np.testing.assert_allclose(SPACE.to_physical(p.means[0]), [1.0 + i, -0.5], atol=1e-4)
+
+
+def test_memory_is_bounded_without_changing_a_number(monkeypatch):
+    """Simulating a few vectors at a time gives the same bits as all at once."""
+    rng = np.random.default_rng(14)
+    dataset = nfpde.Dataset([e for i in range(5) for e in moments(f"{i}", (1.0, 0.5), rng)])
+    _, whole = both_stages(linear_simulator(), dataset)
+    sizes = []
+    plain = nfpde.CallableSimulator.rollout
+
+    def watched(self, xi, windows, vector, window):
+        sizes.append(len(vector))
+        return plain(self, xi, windows, vector, window)
+
+    monkeypatch.setattr("nfpde.estimation.trajectory.problem.NUMBERS_AT_ONCE", 100)
+    monkeypatch.setattr(nfpde.CallableSimulator, "rollout", watched)
+    _, parts = both_stages(linear_simulator(), dataset)
+    # a vector of 12 windows may begin just below the limit
+    assert max(sizes) <= 100 + 12 * 2
+    assert parts.population.means.tolist() == whole.population.means.tolist()
+
+
+def test_hundreds_of_short_episodes():
+    """200 robots of three rows: a population as wide as the robots, from few draws each."""
+    rng = np.random.default_rng(15)
+    true = np.array([3.0, -2.0]) + 0.5 * rng.normal(size=(200, 2))
+    settings = nfpde.TrajectoryConfig(starts=1, population_rounds=1)
+    dataset = nfpde.Dataset([drifting(f"{i}", xi, rng, 3) for i, xi in enumerate(true)])
+    result = nfpde.fit(linear_simulator(), dataset, config=settings, quiet=True)
+    assert result.info["robots"][0]["sampling"]["draws"] < nfpde.TrajectoryConfig().draws
+    # five standard errors of the mean of 200; smoothing widens
+    np.testing.assert_allclose(result.distribution.mean(), true.mean(0), atol=5 * 0.5 / np.sqrt(200))
+    assert (result.distribution.std() > 0.8 * true.std(0)).all()
+    assert (result.distribution.std() < 1.5 * true.std(0)).all()
+
+
+def test_resolution_is_the_floor_of_the_noise():
+    """Sensors that show steps of 0.01 leave residuals of no less than their rounding, which the errors then show."""
+    rng = np.random.default_rng(16)
+    episodes = [drifting("a", (1.0, 0.5), rng, 40)]
+    fine, _ = both_stages(linear_simulator(), nfpde.Dataset(episodes))
+    coarse, rounded = both_stages(linear_simulator(), nfpde.Dataset(episodes), resolution=0.01)
+    unit = coarse.problem.unit[0]
+    assert np.exp(fine.alone.noise.log_scale) < 1e-8
+    assert np.exp(coarse.alone.noise.log_scale) * unit == pytest.approx(0.01 / np.sqrt(12), rel=1e-6)
+    design = DT * np.column_stack([episodes[0].ctrl[:-1, 0], np.ones(39)])
+    # the exact covariance of least squares with that noise, seen in z: slope of the box at the mode
+    (p,) = rounded.posteriors
+    slope = np.diag(SPACE.width * 0.25 * (1 - np.tanh(p.means[0] / 2) ** 2))
+    closed = 0.01**2 / 12 * np.linalg.inv(design.T @ design)
+    np.testing.assert_allclose(slope @ p.covariances[0] @ slope, closed, rtol=0.02, atol=0.02 * closed.max())
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, [0.1, 0.1], "fine"])
+def test_wrong_resolutions_are_refused(wrong):
+    """Negative, not finite, or not one for each channel: the channels are named."""
+    rng = np.random.default_rng(17)
+    dataset = nfpde.Dataset([drifting("a", (1.0, 0.5), rng, 10)])
+    with pytest.raises(nfpde.NfpdeError, match=r"resolution must be .* the 1 channels \(qpos x\), none negative; got"):
+        nfpde.fit(linear_simulator(), dataset, resolution=wrong, quiet=True)
+    with pytest.raises(nfpde.NfpdeError, match="resolution means nothing to the method softmax"):
+        nfpde.fit(linear_simulator(), dataset, method="softmax", resolution=0.1, quiet=True)
+
+
+def test_a_simulator_that_always_diverges_is_refused():
+    """No parameters explain anything: an error that says so, and no distribution."""
+    rng = np.random.default_rng(18)
+    broken = nfpde.CallableSimulator(lambda x, u, xi: np.full_like(x, np.nan), SPACE, positions=["x"])
+    dataset = nfpde.Dataset([drifting("a", (1.0, 0.5), rng, 10)])
+    with pytest.raises(nfpde.NfpdeError, match="every simulation of the recordings diverged, from 4 starting points"):
+        nfpde.fit(broken, dataset, quiet=True)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_moments_that_always_diverge(whole):
+    """One such moment takes no part and does no harm; a robot of nothing else is an error that names it."""
+    rng = np.random.default_rng(20)
+    good, bad = drifting("good", (1.0, 0.5), rng, 20), drifting("bad", (2.0, -0.5), rng, 20)
+    cursed = bad.qpos if whole else bad.qpos[4:5]
+
+    def step(x, u, xi):
+        return np.where(np.isin(x, cursed), np.nan, linear_step(x, u, xi))
+
+    simulator = nfpde.CallableSimulator(step, SPACE, positions=["x"])
+    dataset = nfpde.Dataset([replace(good, qpos=good.qpos + 0.25), bad])
+    if whole:
+        with pytest.raises(nfpde.NfpdeError, match="every simulation of the recordings of episode bad diverged"):
+            nfpde.fit(simulator, dataset, quiet=True)
+    else:
+        robots = nfpde.fit(simulator, dataset, quiet=True).info["robots"]
+        assert robots[1]["diverged"] == 1
+        assert robots[0]["diverged"] == 0
+        assert robots[1]["parameters"]["gain"]["value"] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_mixture_of_mixtures():
+    """Shares multiply weights."""
+    rng = np.random.default_rng(19)
+    a, b = some_gaussians(rng, 2), some_gaussians(rng, 3)
+    z = rng.normal(size=(5, 2))
+    expected = 0.3 * np.exp(a.log_density(z)) + 0.7 * np.exp(b.log_density(z))
+    np.testing.assert_allclose(np.exp(joined([a, b], np.array([0.3, 0.7])).log_density(z)), expected, rtol=1e-12)
