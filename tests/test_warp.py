@@ -220,7 +220,7 @@ def test_wrong_scale_and_windows(sim):
 
 def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch):
     """`auto` takes CUDA only if there is one."""
-    monkeypatch.setattr("nfpde.sim.warp_device.has_cuda", lambda: False)
+    monkeypatch.setattr("nfpde.sim.select._finds_cuda", lambda: False)
     space = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
     assert isinstance(make_simulator(load(PENDULUM), space, check_influence=False), MujocoSimulator)
     sim = make_simulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)

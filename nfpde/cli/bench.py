@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from nfpde.sim import Device
+
 app = typer.Typer(help="Benchmarks of the package; each prints a table and writes it as Markdown and JSON.")
 
 Quick = Annotated[bool, typer.Option(help="smaller sizes and fewer repeats: minutes instead of tens of minutes")]
@@ -14,11 +16,22 @@ Out = Annotated[Path, typer.Option(help="folder for the tables")]
 
 
 @app.command("losses")
-def losses(quick: Quick = False, out: Out = Path("docs/results")) -> None:
-    """Simulated transitions per CPU-second beside MuJoCo's own C loop."""
-    from nfpde.bench import losses as bench
+def losses(
+    quick: Quick = False,
+    out: Out = Path("docs/results"),
+    device: Annotated[
+        Device, typer.Option(help="cuda: beside MuJoCo Warp's bare stepping; warp-cpu tries the code")
+    ] = "cpu",
+) -> None:
+    """Simulated transitions per CPU-second beside MuJoCo's own C loop, or per second on a GPU."""
+    if device == "cpu":
+        from nfpde.bench import losses as bench
 
-    bench.run(quick, out)
+        bench.run(quick, out)
+    else:
+        from nfpde.bench import losses_warp
+
+        losses_warp.run(quick, out, device)
 
 
 @app.command("ot")

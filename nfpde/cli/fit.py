@@ -8,9 +8,10 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from nfpde.cli.models import MODEL_HELP, make_simulator, read_dataset
+from nfpde.cli.models import DEVICE_HELP, MODEL_HELP, make_simulator, read_dataset
 from nfpde.cli.settings import build, options_from
 from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit, tell, write_report
+from nfpde.sim import Device, runs_on
 
 
 @options_from(NfpdeConfig, TrajectoryConfig)
@@ -29,6 +30,7 @@ def command(
     resample: Annotated[
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
+    device: Annotated[Device, typer.Option(help=DEVICE_HELP)] = "auto",
     seed: Annotated[int, typer.Option(help="of everything random")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
     **settings: Any,
@@ -38,7 +40,9 @@ def command(
     Writes the distribution, fit.json, corner.png and progress.png, and by trajectory report.html and report.png. The
     same command goes on where an interrupted one stopped.
     """
-    simulator = make_simulator(model, params)
+    simulator = make_simulator(model, params, device)
+    if not quiet:
+        typer.echo(f"simulations run on {runs_on(simulator)}", err=True)
     dataset = read_dataset(data, resample)
     config = build(CONFIGS[method], settings, context, f"the method {method}")
     result = fit(

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nfpde.benchmarks import BENCHMARKS
 from nfpde.dataset import Dataset, load_dataset
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import MujocoSimulator
+from nfpde.sim import Device, MujocoSimulator
+from nfpde.sim import make_simulator as on_device
 
+if TYPE_CHECKING:
+    from nfpde.sim.warp import WarpSimulator
+
+DEVICE_HELP = "cpu, cuda (MuJoCo Warp), warp-cpu (its kernels without a GPU, for tests), or auto: cuda if there is one"
 MODEL_HELP = f"MJCF or URDF file, or a benchmark robot: {', '.join(BENCHMARKS)}"
 
 
-def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
+def make_simulator(model: str, params: Path | None, device: Device = "auto") -> MujocoSimulator | WarpSimulator:
     """The simulator of a model file or benchmark robot, with the parameters of a TOML file.
 
     Raises:
@@ -28,7 +34,7 @@ def make_simulator(model: str, params: Path | None) -> MujocoSimulator:
             "field, target, low and high"
         )
     space = known.space if known is not None and params is None else ParameterSpace.from_toml(params or "")
-    return MujocoSimulator(path, space)
+    return on_device(path, space, device=device)
 
 
 def model_file(model: str) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -46,9 +48,7 @@ def make_simulator(
     if device not in get_args(Device):
         raise BadInput(f"no device is called {device!r}; there are: {', '.join(get_args(Device))}")
     if device == "auto":
-        from nfpde.sim.warp_device import has_cuda
-
-        device = "cuda" if has_cuda() else "cpu"
+        device = "cuda" if _finds_cuda() else "cpu"
     if device == "cpu":
         return MujocoSimulator(model, space, effects, check_influence=check_influence)
     from nfpde.sim.warp import WarpSimulator  # a second of imports, where it is used
@@ -62,3 +62,14 @@ def runs_on(simulator: MujocoSimulator | WarpSimulator) -> str:
         return f"cpu: MuJoCo {mujoco.__version__}, double precision, {simulator.nthread} thread(s)"
     kind = "cuda" if simulator.device.is_cuda else "warp-cpu"
     return f"{kind}: MuJoCo Warp, single precision, {simulator.device.name or 'CPU'}"
+
+
+def _finds_cuda() -> bool:
+    """Whether Warp finds a CUDA device; Warp is not even loaded where there is no driver."""
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return False
+    from nfpde.sim.warp_device import has_cuda
+
+    return has_cuda()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +28,22 @@ from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world
 
 MOST_BATCHES = 3
 """Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a call took.
+
+    nworld: worlds at once
+    nbytes: memory predicted for them
+    nconmax: contacts in a world that there was room for, on average
+    njmax: constraints in a world that there was room for
+    """
+
+    nworld: int
+    nbytes: int
+    nconmax: int
+    njmax: int
 
 
 class WarpSimulator(Simulator):
@@ -127,6 +143,17 @@ class WarpSimulator(Simulator):
         """That of the reference, and that it ran in single precision."""
         ours = {"class": type(self).__name__, "mujoco_warp": version("mujoco_warp")}
         return {**self.reference.identity(), **ours}
+
+    def usage(self) -> Usage:
+        """What the last call took.
+
+        Raises:
+            BadInput: nothing was simulated yet.
+        """
+        if not self._batches:
+            raise BadInput("nothing was simulated yet; call losses or predict first")
+        sizes = next(reversed(self._batches))
+        return Usage(sizes.nworld, sizes.nworld * self._bytes(sizes), sizes.nconmax, sizes.njmax)
 
     def _run(
         self,

@@ -29,6 +29,14 @@ UNUSED = frozenset(
 )
 """Constants that mj_setConst derives and MuJoCo Warp does not read, or derives itself."""
 
+_PICTURES = ("cam_", "light_")
+"""Fields of cameras and lights, which move nothing."""
+
+_LIMITS = {"jnt_actfrclimited": "jnt_actfrcrange", "actuator_forcelimited": "actuator_forcerange"}
+"""Switches that all worlds share, and the ranges they switch on; a wide range does what a switch that is off does."""
+
+_WIDE = 1e30
+
 _PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
 
 
@@ -52,8 +60,10 @@ class WarpModel:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR  # nobody reads them
         self.writer = writer
         self.step_fields = step_fields
-        self._fixed = [f for f in step_fields if f not in writer.fields]
-        self.fields = sorted({*writer.fields, *step_fields} - UNUSED)
+        self._switches = [f for f in _LIMITS if f in writer.fields]
+        needed = {*step_fields, *(_LIMITS[f] for f in self._switches)}
+        self._fixed = sorted(needed - {*writer.fields})
+        self.fields = sorted({*writer.fields, *needed} - {*UNUSED, *self._switches})
         self.columns: dict[str, slice] = {}
         first = 0
         for name in self.fields:
@@ -61,6 +71,7 @@ class WarpModel:
             self.columns[name] = slice(first, first + size)
             first += size
         self.ncolumn = first
+        self._switch_on(space)
         nominal = _put(self.model, {})
         for name in self.fields:
             _refuse_shared(nominal, name)
@@ -76,6 +87,10 @@ class WarpModel:
         written = self.writer.rows(xi)
         for name in self._fixed:
             written[name] = np.broadcast_to(get_field(self.model, name), (len(xi), *get_field(self.model, name).shape))
+        for name in self._switches:
+            off, limits = ~written[name].astype(bool), np.array(written[_LIMITS[name]])
+            limits[off] = -_WIDE, _WIDE
+            written[_LIMITS[name]] = limits
         for name, columns in self.columns.items():
             values = written[name].reshape(len(xi), -1)
             out[:, columns] = 1 / np.sqrt(np.maximum(values, mujoco.mjMINVAL)) if name == "opt.impratio" else values
@@ -115,6 +130,15 @@ class WarpModel:
                 outputs=[d.geom_xpos, d.geom_xmat],
             )
 
+    def _switch_on(self, space: ParameterSpace) -> None:
+        """Switch on, for all worlds, every limit that some parameter vector switches on."""
+        for vector in _probes(space):
+            if self._switches:
+                changed = copy.copy(self.model)
+                self.writer.write(changed, vector)
+                for name in self._switches:
+                    getattr(self.model, name)[...] |= getattr(changed, name)
+
     def _static_flags(self, nominal: mjw.Model, space: ParameterSpace) -> dict[str, bool]:
         """Settings that MuJoCo Warp derives once from the model: on if any parameter vector needs them.
 
@@ -123,14 +147,15 @@ class WarpModel:
         """
         flags: dict[str, bool] = {}
         batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.fields}
-        for share in (0.0, 1.0, 0.3819, 0.7236):  # as ModelWriter looks for the fields that change
+        ignored = {*batched, *UNUSED, *self._switches}
+        for vector in _probes(space):
             changed = copy.copy(self.model)
-            self.writer.write(changed, space.low + share * (space.high - space.low))
+            self.writer.write(changed, vector)
             other = _put(changed, {})
             for a, b in ((nominal, other), (nominal.opt, other.opt)):
                 for f in dataclasses.fields(a):
                     old, new = getattr(a, f.name), getattr(b, f.name)
-                    if f.name in batched or f.name in UNUSED or _same(old, new):
+                    if f.name in ignored or f.name.startswith(_PICTURES) or _same(old, new):
                         continue
                     if not isinstance(new, bool | np.bool_):
                         raise BadModel(
@@ -139,6 +164,11 @@ class WarpModel:
                         )
                     flags[f.name] = True
         return flags
+
+
+def _probes(space: ParameterSpace) -> list[Array]:
+    """Parameter vectors at the places where `ModelWriter` looks for the fields that change."""
+    return [space.low + share * (space.high - space.low) for share in (0.0, 1.0, 0.3819, 0.7236)]
 
 
 def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
