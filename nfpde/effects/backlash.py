@@ -30,7 +30,7 @@ class Backlash(Effect):
     torque - J acceleration, pulls away. Then the joint moves without the torque and without its armature, and the
     rotor by the torque alone, until it has crossed the play or the joint has caught up; they go on together, with the
     momentum of both (an impulse of J times the difference of their speeds, in one physics step). A servo measures
-    the rotor. The rotor is integrated implicitly in the gains of the servo, so any time step is stable.
+    the rotor, which is integrated implicitly in the servo's gains: they may be too stiff for it, not for the joint.
 
     No recording says where in the play a window starts: the rotor is taken to be where its torque pushes.
     """
@@ -85,10 +85,11 @@ class Backlash(Effect):
             pushing = np.where(d.torque(world, rows) < 0, -1.0, 1.0)
             side = np.where(np.isnan(side), pushing, side)
 
-        # free rotors that have crossed the play, and are not already on their way back, meet the joint
-        ahead = position - joint
-        met = (side == 0) & (np.abs(ahead) >= half) & (ahead * (speed - joint_speed) >= 0)
-        world.qfrc_applied[np.ix_(rows, d.dofs)] += np.where(met, inertia * (speed - joint_speed) / dt, 0.0)
+        # free rotors that cross the play nearer to now than to the next step meet the joint, if not on their way back
+        closing = speed - joint_speed
+        ahead = position - joint + 0.5 * dt * closing
+        met = (side == 0) & (np.abs(ahead) >= half) & (ahead * closing >= 0)
+        world.qfrc_applied[np.ix_(rows, d.dofs)] += np.where(met, inertia * closing / dt, 0.0)
         side = np.where(met, np.sign(ahead), side)
 
         # rotors at an end stay there while the teeth push

@@ -62,6 +62,12 @@ def is_speed_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return is_plain(model, actuator) and affine and position == 0 and speed != 0
 
 
+def servos_on(model: mujoco.MjModel, joints: Rows) -> Rows:
+    """Position and velocity servos, which read the sensors of these joints, by actuator id."""
+    of_joints = [i for i in range(model.nactuator) if driven_joint(model, i) in joints]
+    return np.array([i for i in of_joints if is_servo(model, i) or is_speed_servo(model, i)], dtype=np.intp)
+
+
 @dataclass(frozen=True, eq=False)
 class Drives:
     """Plain actuators, and where their joints stand in the state; each (k,)."""
@@ -86,6 +92,8 @@ class Drives:
                     "target one that is"
                 )
         joints = np.array([driven_joint(model, int(i)) for i in ids], dtype=np.intp)
+        if not len(ids):
+            return cls(joints, joints, joints, joints, joints)
         return cls(ids, joints, joint_dofs(model, joints), joint_qpos(model, joints), actuator_ctrls(model, ids))
 
     def clamped(self, model: mujoco.MjModel, ctrl: Array) -> Array:

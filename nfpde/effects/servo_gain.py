@@ -42,8 +42,8 @@ class ServoGain(Effect):
         return dict(cls.default_bounds) if fits else None
 
     def screened(self, scales: DataScales) -> Array:
-        """Each gain alone, softer and stiffer."""
-        factors = (0.9, 0.6, 1.1, 2.0)
+        """Each gain alone, a little softer and much stiffer."""
+        factors = (0.85, 1.8)
         rows = np.array([*((f, 1.0) for f in factors), *((1.0, f) for f in factors)])
         low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
         margin = 1e-6 * (high - low)
