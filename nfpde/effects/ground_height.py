@@ -26,6 +26,8 @@ class GroundHeight(Effect):
     sentence = "The ground lies higher or lower than in the model, or the legs are longer or shorter."
     confounders = ("contact_softness", "joint_offset")
     ground: Index
+    up: Array
+    """The vertical in the frames of the bodies that the ground's geoms belong to, (n, 3)."""
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -44,6 +46,10 @@ class GroundHeight(Effect):
         bound.ground = touching(model)[0]
         if not len(bound.ground):
             raise BadEffect(f"{self.name}: nothing in this model can touch the world")
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        frames = data.xmat[model.geom_bodyid[bound.ground]].reshape(-1, 3, 3)
+        bound.up = frames[:, 2]
         return bound
 
     def screened(self, scales: DataScales) -> Array:
@@ -54,4 +60,4 @@ class GroundHeight(Effect):
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Raise the ground."""
         if values[0]:
-            model.geom_pos[self.ground, 2] += values[0]
+            model.geom_pos[self.ground] += values[0] * self.up

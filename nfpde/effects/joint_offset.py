@@ -6,7 +6,8 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.drive import servos_on
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
@@ -17,7 +18,7 @@ from nfpde.errors import BadEffect
 class JointOffset(Effect):
     """The measured position of a joint is the true one plus an offset.
 
-    What a servo feeds back is taken to be the true position: the offset is one of the recording.
+    A servo of the joint reads the same encoder, so it settles where the measured position is right.
     """
 
     name = "joint_offset"
@@ -25,6 +26,8 @@ class JointOffset(Effect):
     quantities = (Quantity("offset", "rad", -math.inf, math.inf, neutral=0.0),)
     sentence = "The zero of the joint's encoder is off: the recorded position is the true one plus a constant."
     confounders = ("gravity_tilt", "actuator_bias", "com_shift", "joint_spring")
+
+    servos: Rows
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -45,7 +48,13 @@ class JointOffset(Effect):
         bound = super().bind(model)
         if not all(is_axis(model, int(j)) for j in bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
+        bound.servos = servos_on(model, bound.ids)
         return bound
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Let servos act on the measured position."""
+        reading = model.actuator_gear[self.servos, 0] * values[0]
+        model.actuator_biasprm[self.servos, 0] += model.actuator_biasprm[self.servos, 1] * reading
 
     def to_simulated(self, state: Array, values: Array) -> Array:
         """Take the offset off the positions."""

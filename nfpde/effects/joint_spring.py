@@ -1,7 +1,7 @@
 """A spring in a joint: cables, hoses, rubber boots, tendons."""
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -10,6 +10,7 @@ from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
+from nfpde.errors import BadEffect
 
 
 @register
@@ -41,6 +42,17 @@ class JointSpring(Effect):
             "stiffness": (0.0, 3 * float(scales.force[dof]) / distance),
             "rest": (middle - reach, middle + reach),
         }
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: a joint that is no hinge or slide.
+        """
+        bound = super().bind(model)
+        if not all(is_axis(model, int(j)) for j in bound.ids):
+            raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
+        return bound
 
     def screened(self, scales: DataScales) -> Array:
         """Weak and strong, with its rest in the middle and to both sides."""

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.drive import servos_on
+from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
@@ -18,7 +19,7 @@ from nfpde.errors import BadEffect
 class SensorScale(Effect):
     """The measured position and speed of a joint are the true ones times a scale.
 
-    What a servo feeds back is taken to be the true state: the scale is one of the recording.
+    A servo of the joint reads the same sensor.
     """
 
     name = "sensor_scale"
@@ -29,6 +30,7 @@ class SensorScale(Effect):
     confounders = ("motor_strength", "time_scale", "joint_offset")
 
     nq: int
+    servos: Rows
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -45,7 +47,12 @@ class SensorScale(Effect):
         if not all(is_axis(model, int(j)) for j in bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
         bound.nq = model.nq
+        bound.servos = servos_on(model, bound.ids)
         return bound
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Let servos act on the measured position and speed."""
+        model.actuator_biasprm[self.servos, 1:3] *= values[0]
 
     def to_simulated(self, state: Array, values: Array) -> Array:
         """Divide positions and speeds by the scale."""

@@ -1,0 +1,139 @@
+"""Effects of the ground, against plain MuJoCo and mechanics."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.errors import BadEffect
+from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, replaced, rows_are_apart, same_as
+from tests.models import BLOCK, load, make_windows, with_arrays
+
+PAIRED = BLOCK.replace(
+    "<actuator>",
+    '<contact><pair geom1="floor" geom2="box" friction="0.3 0.3 0.005 0.0001 0.0001"/></contact><actuator>',
+)
+SOFT = {"time_constant": (0.004, 0.3), "damping_ratio": (0.05, 4)}
+
+
+def slide(sim, value, push, steps=300, speed=0.0):
+    """Speed [m/s] of the block along x after every step under a constant push [N], starting at rest on the floor."""
+    windows = make_windows(sim.model, 1, steps)
+    state = np.zeros_like(windows.state)
+    state[0, 0, 2] = speed
+    windows = with_arrays(windows, state=state, ctrl=np.full_like(windows.ctrl, push))
+    return predict(sim, [value], windows)[0, 0, :, 2]
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "values"),
+    [
+        ("ground_friction", {"sliding": (0.01, 3)}, [[0.1], [0.9]]),
+        ("contact_softness", SOFT, [[0.05, 1.0], [0.02, 0.2]]),
+        ("ground_height", {"height": (-0.05, 0.05)}, [[0.01], [0.03]]),
+    ],
+)
+@pytest.mark.parametrize("xml", [BLOCK, PAIRED])
+def test_neutral_and_rows(name, bounds, values, xml):
+    """Neutral rows are untouched by active ones beside them, and rows with other values do not mix."""
+    sim = make(name, None, xml, **bounds)
+    neutral_does_nothing(sim, values, xml, spread=0.01)
+    rows_are_apart(sim, values, spread=0.001)
+
+
+@pytest.mark.parametrize("coefficient", [0.1, 0.8])
+def test_ground_friction_is_that_of_both_geoms(coefficient):
+    """Lower and higher than both geoms': MJCF with the coefficient on both, and in a pair."""
+    sim = make("ground_friction", None, BLOCK, sliding=(0.01, 3))
+    xml = BLOCK.replace('friction="0.2 0.005', f'friction="{coefficient} 0.005')
+    xml = xml.replace('friction="0.5 0.005', f'friction="{coefficient} 0.005')
+    same_as(sim, [coefficient], xml, spread=0.005)
+    sim = make("ground_friction", None, PAIRED, sliding=(0.01, 3))
+    same_as(sim, [coefficient], replaced('"0.3 0.3', f'"{coefficient} {coefficient}', PAIRED), spread=0.005)
+
+
+@pytest.mark.parametrize("coefficient", [0.1, 0.8])
+def test_ground_friction_brakes_a_sliding_block(coefficient):
+    """Nothing pushes: in 0.2 s the block loses mu g 0.2 s of its speed."""
+    xml = BLOCK.replace('timestep="0.002"', 'timestep="0.002" cone="elliptic"')
+    sim = make("ground_friction", None, xml, sliding=(0.01, 3))
+    speed = slide(sim, [coefficient], 0.0, speed=5.0)
+    # the block settles on the floor at first
+    assert speed[150] - speed[250] == pytest.approx(coefficient * 9.81 * 0.2, rel=0.05)
+
+
+def test_contact_softness_is_solref():
+    """MJCF with that solref on every geom."""
+    sim = make("contact_softness", None, BLOCK, **SOFT)
+    xml = BLOCK.replace('friction="0.2 0.005 0.0001"', 'friction="0.2 0.005 0.0001" solref="0.06 0.4"')
+    xml = xml.replace('friction="0.5 0.005 0.0001"', 'friction="0.5 0.005 0.0001" solref="0.06 0.4"')
+    same_as(sim, [0.06, 0.4], xml, spread=0.005)
+
+
+def test_ground_height_carries_the_block():
+    """At rest the block stands higher or lower by the height."""
+    sim = make("ground_height", None, BLOCK, height=(-0.05, 0.05))
+    windows = make_windows(sim.model, 1, 1500)
+    still = with_arrays(windows, state=np.zeros_like(windows.state), ctrl=np.zeros_like(windows.ctrl))
+    flat, up, down = predict(sim, [[0.0], [0.03], [-0.02]], still)[:, 0, -1, 1]
+    assert up - flat == pytest.approx(0.03, abs=1e-5)
+    assert down - flat == pytest.approx(-0.02, abs=1e-5)
+
+
+STEP = """
+<mujoco>
+  <worldbody>
+    <body name="table" pos="0 0 0.1" quat="0.5 0.5 0.5 0.5">
+      <geom name="top" type="box" size="0.3 0.5 0.4"/>
+      <geom type="box" size="0.1 0.1 0.1" pos="0 2 0"/>
+      <geom type="box" size="0.1 0.1 0.1" pos="0 -2 0"/>
+    </body>
+    <body name="block" pos="0 0 {z}">
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size="0.05" mass="1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+"""A ball above a table of several boxes, whose body is turned so that its y axis or another points up."""
+
+
+@pytest.mark.parametrize("height", [0.2, -0.15])
+def test_ground_height_is_vertical_whatever_the_frame_of_the_ground(height):
+    """A ball that falls on a table in a turned body comes to rest higher or lower by the height."""
+    model = load(STEP.format(z=1))
+    top = model.geom("top").id
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    half = np.abs(data.geom_xmat[top].reshape(3, 3)[2]) @ model.geom_size[top]
+    rest = 0.1 + half + 0.05
+    xml = STEP.format(z=rest + 0.25)
+    sim = make("ground_height", None, xml, height=(-0.5, 0.5))
+    windows = make_windows(sim.model, 1, 2000)
+    still = with_arrays(windows, state=np.zeros_like(windows.state))
+    flat, moved = predict(sim, [[0.0], [height]], still)[:, 0, -1, 0]
+    assert flat == pytest.approx(-0.25, abs=1e-3)
+    assert moved - flat == pytest.approx(height, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["ground_friction", "contact_softness", "ground_height"])
+def test_effects_of_the_ground_need_one(name):
+    """An arm that touches nothing, and one whose geoms do not collide with the floor."""
+    bounds = {"ground_friction": {"sliding": (0.1, 1)}, "contact_softness": SOFT, "ground_height": {"height": (-1, 1)}}
+    apart = BLOCK.replace('type="plane"', 'type="plane" contype="0" conaffinity="0"').replace(
+        'type="box"', 'type="box" contype="0" conaffinity="0"'
+    )
+    for xml in (SERVO_ARM, apart):
+        with pytest.raises(BadEffect, match="nothing in this model can touch the world"):
+            make(name, None, xml, **bounds[name])
+
+
+def test_ground_friction_keeps_contacts_among_moving_parts_where_it_rises():
+    """Only the world's geoms take a higher coefficient; the robot's take none above it."""
+    ball = '<body name="other" pos="1 0 1"><freejoint/><geom size="0.1"/></body>'
+    xml = replaced('<body name="block"', f'{ball}<body name="block"', BLOCK)
+    sim = make("ground_friction", None, xml, sliding=(0.01, 3))
+    friction = sim.writer.rows(np.array([[2.0], [0.1]]))["geom_friction"][:, :, 0]
+    floor, box = sim.model.geom("floor").id, sim.model.geom("box").id
+    assert friction[0, floor] == 2.0
+    assert friction[0, box] == 0.5
+    np.testing.assert_array_equal(friction[1], 0.1)

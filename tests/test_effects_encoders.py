@@ -1,0 +1,60 @@
+"""Effects on what encoders report: what is reported, and what a servo that reads the encoder does."""
+
+import numpy as np
+import pytest
+
+from nfpde.errors import BadEffect
+from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, rows_are_apart
+from tests.models import BALL, load, make_windows, plain_rollout
+
+OFFSETS, SCALES = {"offset": (-1, 1)}, {"scale": (0.5, 2)}
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "values"), [("joint_offset", OFFSETS, [[0.1], [-0.4]]), ("sensor_scale", SCALES, [[0.8], [1.3]])]
+)
+@pytest.mark.parametrize("joint", ["shoulder", "elbow", "wrist"])
+def test_neutral_and_rows(name, bounds, values, joint):
+    """Neutral rows are untouched by active ones beside them, and rows with other values do not mix."""
+    sim = make(name, joint, **bounds)
+    neutral_does_nothing(sim, values)
+    rows_are_apart(sim, values)
+
+
+@pytest.mark.parametrize(("joint", "column"), [("shoulder", 0), ("wrist", 2)])
+def test_joint_offset_is_that_of_the_encoder_a_servo_reads(joint, column):
+    """The arm moves from the true angle; a servo pushes by its reading; the report is the reading."""
+    sim = make("joint_offset", joint, **OFFSETS)
+    windows = make_windows(sim.model, 3, 10, nsub=4)
+    predicted = predict(sim, [[0.3]], windows)[0]
+    shift = np.zeros(6)
+    shift[column] = 0.3
+    for n in range(3):
+        sent = windows.ctrl[n].copy()
+        if joint == "shoulder":
+            sent[:, 0] -= 0.3  # kp (u - (q + 0.3)) = kp ((u - 0.3) - q)
+        expected = plain_rollout(sim.model, windows.start[n] - shift, sent, 4) + shift
+        np.testing.assert_allclose(predicted[n], expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("joint", "column"), [("shoulder", 0), ("elbow", 1), ("wrist", 2)])
+def test_sensor_scale_is_that_of_the_encoder_a_servo_reads(joint, column):
+    """Position and speed are reported times the scale, and fed back so."""
+    sim = make("sensor_scale", joint, **SCALES)
+    windows = make_windows(sim.model, 3, 10, nsub=4)
+    predicted = predict(sim, [[1.25]], windows)[0]
+    factor = np.ones(6)
+    factor[[column, 3 + column]] = 1.25
+    model = load(SERVO_ARM)
+    if joint != "wrist":
+        model.actuator_biasprm[column, 1:3] *= 1.25
+    for n in range(3):
+        expected = plain_rollout(model, windows.start[n] / factor, windows.ctrl[n], 4) * factor
+        np.testing.assert_allclose(predicted[n], expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "bounds"), [("joint_offset", OFFSETS), ("sensor_scale", SCALES)])
+def test_encoders_are_those_of_hinges_and_slides(name, bounds):
+    """A quaternion has no offset to add to its four numbers."""
+    with pytest.raises(BadEffect, match="hinges or slides"):
+        make(name, "ball", BALL, **bounds)
