@@ -111,7 +111,7 @@ def _fill(row: Row, key: Json, diagnosis: Json) -> None:
     row.set_size = len(effects[0].get("indistinguishable", ())) + 1 if effects else 0
     row.extra = max(len(effects) - (0 if row.kind in ("none", "outsider") else len(faults)), 0)
     row.after = after_over_floor(key, diagnosis["gap"])
-    row.own_after = _ratio(diagnosis["gap"].get("after_effects"), diagnosis["gap"].get("noise_floor"))
+    row.own_after = _own_after(diagnosis["gap"])
     if row.kind == "none":
         row.right = row.verdict == "no_gap" and not effects
         row.reason = "" if row.right else f"alarm: {row.verdict}"
@@ -201,8 +201,12 @@ def after_over_floor(key: Json, gap: Json) -> float | None:
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
 
 
-def _ratio(part: float | None, whole: float | None) -> float | None:
-    return None if part is None or not whole else part / whole
+def _own_after(gap: Json) -> float | None:
+    """The same with the floor that the diagnosis states."""
+    after, floor, before = (gap.get(name) for name in ("after_effects", "noise_floor", "before"))
+    if after is None or floor is None or not before:
+        return None
+    return (after / before) / max(floor / before, LEAST_FLOOR)
 
 
 def value_errors(key: Json, fault: Json, effect: Json) -> dict[str, float]:
@@ -239,7 +243,13 @@ def _fitted(parameters: Json, name: str, count: int) -> float | None:
         axis = int(rest[:-1])
         if isinstance(plain.get(stem), list):
             return float(plain[stem][axis])
-        for form in (f"{stem}[{axis}]", f"{stem}_{axis}", f"{stem}_{'xyz'[axis]}", f"{stem}.{'xyz'[axis]}"):
+        for form in (
+            f"{stem}[{axis}]",
+            f"{stem}_{axis}",
+            f"{stem}_{'xyz'[axis]}",
+            f"{stem}.{'xyz'[axis]}",
+            "xyz"[axis],
+        ):
             if form in plain:
                 return float(plain[form])
         return None
