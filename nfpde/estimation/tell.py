@@ -21,7 +21,7 @@ def tell(result: FitResult) -> Iterator[str]:
     width = max(len(name) for name in tells["parameters"])
     for name, row in tells["parameters"].items():
         yield f"  {name:<{width}}  {row['words']}"
-    together = [row["words"] for row in tells["combinations"]] + tells["blind"]
+    together = [row["words"] for row in tells["combinations"]]
     yield from _lines("Known only together:", together)
     yield from _lines("To learn the rest:", [row["words"] for row in result.info["record_next"]])
     leaning = sorted(

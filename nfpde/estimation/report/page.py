@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from nfpde.errors import BadInput
 from nfpde.estimation.report.pictures import draw_errors, draw_pairs, most_interesting
 from nfpde.estimation.result import FitResult
 from nfpde.storage import write_whole
@@ -37,7 +38,12 @@ def write_report(result: FitResult, folder: str | Path) -> dict[Path, str]:
     Args:
         result: of `fit` with the method `trajectory`.
         folder: where to.
+
+    Raises:
+        BadInput: the result of another method.
     """
+    if "tells" not in result.info:
+        raise BadInput(f"a fit by the method {result.info.get('method')} has no report; trajectory has")
     folder = Path(folder)
     info, space = result.info, result.distribution.space
     left = [info["tells"]["parameters"][p.name]["left_of_prior"] for p in space]
@@ -121,7 +127,6 @@ def _told(result: FitResult) -> str:
 def _combinations(info: dict[str, Any]) -> str:
     tells, total = info["tells"], len(info["robots"])
     lines = [f"{escape(row['words'])} ({row['robots']} of {total} robots)" for row in tells["combinations"][:12]]
-    lines += [escape(text[0].upper() + text[1:]) for text in tells["blind"]]
     if not lines:
         return "<p>No two parameters stand in for each other.</p>"
     return "<p>Known only together:</p>" + _list(lines)

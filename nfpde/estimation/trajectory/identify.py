@@ -82,7 +82,7 @@ class Knowledge:
         x, y, c = self.value[i], self.value[j], self.covariance
         factor = -c[i, j] / c[j, j]
         error = np.sqrt(max(c[i, i] - c[i, j] ** 2 / c[j, j], 0.0))
-        split = _percent(max(self.std[i] / abs(x), self.std[j] / abs(y))) if x and y else "nothing"
+        split = _percent(max(self.std[i] / abs(x), self.std[j] / abs(y)) if x and y else np.inf)
         positive = a.low > 0 and b.low > 0
         if positive and factor < 0 and abs(-factor * y / x - 1) < SIMPLE:
             # in logs the coefficient is one: the ratio
@@ -94,25 +94,39 @@ class Knowledge:
         known = _percent(error / abs(total)) if abs(total) > error else f"{error:.2g} {a.unit}".strip()
         return {"words": f"{a.name} {sign} {number}{b.name} is known to {known}, their split only to {split}"}
 
-    def flattest(self) -> str:
-        """The worst direction where it is worse than the bounds' half and spread over three parameters or more."""
-        scale = UNIFORM_STD * self.space.width
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        v = vectors[:, -1]
-        members = [int(i) for i in np.argsort(-np.abs(v)) if v[i] ** 2 > 0.1]
-        if values[-1] < TOLD**2 or len(members) < 3:
+    def group(self) -> str:
+        """The combination of three parameters or more that is known much better than each of them; "" for none.
+
+        Members are the parameters whose error would fall to less than half if the others were known; the combination
+        is the sharpest direction among them, counted in widths of the bounds.
+        """
+        scale = self.space.width
+        covariance = self.covariance / np.outer(scale, scale)
+        members = np.flatnonzero(np.diag(covariance) * np.diag(np.linalg.inv(covariance)) > 1 / (1 - TIED**2))
+        if len(members) < 3:
             return ""
-        first = np.sign(v[members[0]])
-        parts = [f"{self.space[i].name} {'up' if v[i] * first > 0 else 'down'}" for i in members]
-        return f"{', '.join(parts[:-1])} and {parts[-1]} together change nothing that these recordings show"
+        v = np.linalg.eigh(covariance[np.ix_(members, members)])[1][:, 0]
+        taking = v**2 > 0.1
+        members, v = members[taking], v[taking] / scale[members[taking]]
+        if len(members) < 3:
+            return ""
+        v = v / v[0]
+        simple = len({self.space[i].unit for i in members}) == 1 and (np.abs(np.abs(v) - 1) < SIMPLE).all()
+        factors = [("" if simple else f"{abs(f):.2g} ") + self.space[i].name for i, f in zip(members, v, strict=True)]
+        words = factors[0] + "".join(f" {'+' if f > 0 else '-'} {t}" for f, t in zip(v[1:], factors[1:], strict=True))
+        error = float(np.sqrt(max(v @ self.covariance[np.ix_(members, members)] @ v, 0.0)))
+        total = abs(float(v @ self.value[members]))
+        known = _percent(error / total) if total > error else f"{error:.2g} {self.space[members[0]].unit}".strip()
+        worst = max(float(self.std[i] / abs(self.value[i])) if self.value[i] else np.inf for i in members)
+        return f"{words} is known to {known}, their split only to {_percent(worst)}"
 
 
 def describe_knowledge(rows: list[Knowledge]) -> dict[str, Any]:
-    """All robots in words: each parameter, the pairs tied together, and directions that nothing was said about.
+    """All robots in words: each parameter, and those that are known only together.
 
     Returns:
-        `parameters`: name to words, the number of robots that tell it, and median relative error; `combinations`:
-        words and number of robots, the most frequent first; `blind`: directions of three parameters or more.
+        `parameters`: name to words, the number of robots that tell it, and what is left of the bounds' standard
+        deviation in the median robot; `combinations`: words and number of robots, of those that half of them share.
     """
     space, total = rows[0].space, len(rows)
     parameters = {}
@@ -136,8 +150,11 @@ def describe_knowledge(rows: list[Knowledge]) -> dict[str, Any]:
         for found in sorted(pairs.values(), key=lambda f: -len(f))
         if 2 * len(found) >= total
     ]
-    blind = [text for text in dict.fromkeys(k.flattest() for k in rows) if text]
-    return {"parameters": parameters, "combinations": combos, "blind": blind[:3]}
+    groups = [k.group() for k in rows]
+    found = [text for text in groups if text]
+    if 2 * len(found) >= total:
+        combos.append({"words": found[len(found) // 2], "robots": len(found)})
+    return {"parameters": parameters, "combinations": combos}
 
 
 def _precision(space: ParameterSpace, i: int, value: float, std: float) -> str:
@@ -147,4 +164,6 @@ def _precision(space: ParameterSpace, i: int, value: float, std: float) -> str:
 
 
 def _percent(share: float) -> str:
+    if not np.isfinite(share):
+        return "nothing"
     return "better than 0.001 %" if share < 1e-5 else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"

@@ -1,0 +1,167 @@
+"""What recordings determine, in words, and what to record next: on systems where the answer is known."""
+
+import numpy as np
+import pytest
+import torch
+
+import nfpde
+from nfpde.estimation import tell
+from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge, describe_knowledge
+
+torch.set_num_threads(1)
+DT = 0.1
+
+
+def space_of(*names, low=1.0, high=9.0, unit="kg"):
+    return nfpde.ParameterSpace([nfpde.Parameter(n, low=low, high=high, unit=unit) for n in names])
+
+
+def episodes_of(step, xi, rng, noise, rows=30, states=1, push=1.0, count=3):
+    """Recordings of robots that are all the same, with noise on what is measured."""
+    found = []
+    for i in range(count):
+        u = push * rng.normal(size=(rows, 1))
+        x = [push * rng.normal(size=states)]
+        for row in u[:-1]:
+            x.append(step(x[-1][None], row[None], np.asarray(xi)[None])[0])
+        x = np.array(x) + noise * rng.normal(size=(rows, states))
+        split = 1 if states > 1 else states
+        found.append(nfpde.Episode(f"{i}", DT * np.arange(rows), x[:, :split], x[:, split:], u))
+    return nfpde.Dataset(found)
+
+
+def test_knowledge_is_information_and_bounds_together():
+    """Covariance in physical units: the inverse of Fisher information plus that of a uniform prior."""
+    space = nfpde.ParameterSpace([nfpde.Parameter("a", low=0.0, high=2.0), nfpde.Parameter("b", low=-1.0, high=4.0)])
+    z = np.array([0.3, -0.8])
+    slope = space.width * (np.exp(-z) / (1 + np.exp(-z)) ** 2)
+    physical = np.array([[40.0, 5.0], [5.0, 3.0]])
+    found = Knowledge.of(space, z, physical * np.outer(slope, slope))
+    expected = np.linalg.inv(physical + np.diag(1 / (UNIFORM_STD * space.width) ** 2))
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.value, space.to_physical(z))
+
+
+def test_without_information_only_the_bounds_are_left():
+    """Standard errors are those of a uniform distribution, and nothing counts as told."""
+    space = space_of("a", "b")
+    found = Knowledge.of(space, np.zeros(2), np.zeros((2, 2)))
+    np.testing.assert_allclose(found.std, 8 / np.sqrt(12))
+    assert not found.told.any()
+    assert found.words(0) == "not told by these recordings"
+    assert found.pairs() == []
+
+
+def test_two_masses_that_act_as_one():
+    """With x' = x + dt u / (a + b) the sum is known, the split is not, and one sentence says both."""
+    space = space_of("upper", "lower")
+
+    def step(x, u, xi):
+        return x + DT * u / (xi[:, :1] + xi[:, 1:])
+
+    rng = np.random.default_rng(0)
+    simulator = nfpde.CallableSimulator(step, space, positions=["x"])
+    result = nfpde.fit(simulator, episodes_of(step, (3.0, 4.0), rng, 1e-4), quiet=True)
+    (row,) = result.info["tells"]["combinations"]
+    assert row["robots"] == 3
+    assert row["words"].startswith("upper + lower is known to ")
+    known, split = (float(part.split(" %")[0].split()[-1]) for part in row["words"].split(", their split only to"))
+    assert known < 2
+    assert split > 10
+    assert any("upper + lower" in line for line in tell(result))
+
+
+def test_a_ratio_is_named_as_one():
+    """Where only a / b acts, with values far from equal, the words say the ratio."""
+    space = space_of("gain", "inertia", unit="")
+
+    def step(x, u, xi):
+        return x + DT * u * xi[:, :1] / xi[:, 1:]
+
+    rng = np.random.default_rng(1)
+    simulator = nfpde.CallableSimulator(step, space, positions=["x"])
+    result = nfpde.fit(simulator, episodes_of(step, (2.0, 6.0), rng, 1e-4), quiet=True)
+    (row,) = result.info["tells"]["combinations"]
+    assert row["words"].startswith("gain / inertia is known to ")
+
+
+def test_three_that_only_act_together():
+    """Of x' = x + dt u / (a + b + c) no pair is tied, but the sum of all three is known."""
+    space = space_of("a", "b", "c")
+
+    def step(x, u, xi):
+        return x + DT * u / xi.sum(1, keepdims=True)
+
+    rng = np.random.default_rng(5)
+    simulator = nfpde.CallableSimulator(step, space, positions=["x"])
+    result = nfpde.fit(simulator, episodes_of(step, (4.0, 5.0, 6.0), rng, 1e-4), quiet=True)
+    (row,) = result.info["tells"]["combinations"]
+    assert row["words"].startswith("a + b + c is known to ")
+
+
+def test_robots_that_tell_and_robots_that_do_not_are_counted():
+    """The words say how many robots tell a parameter."""
+    space = space_of("a", "b")
+    knows = Knowledge(space, np.array([4.0, 5.0]), np.diag([0.04, 0.0025]))
+    blind = Knowledge(space, np.array([4.0, 5.0]), np.diag([5.3, 0.0025]))
+    found = describe_knowledge([knows, knows, blind])["parameters"]
+    assert found["a"]["words"] == "known to 5 % in 2 of 3 robots, not told by the recordings of the others"
+    assert found["b"]["words"] == "known to 1 %"
+    assert (found["a"]["told"], found["a"]["robots"]) == (2, 3)
+
+
+def test_damping_of_a_joint_at_rest_asks_for_motion():
+    """A joint that hardly moves cannot tell its damping; the advice is to move it, and not to push elsewhere."""
+    space = nfpde.ParameterSpace([nfpde.Parameter("damping", low=0.1, high=4.0)])
+
+    def step(state, u, xi):
+        """Two carts: the first feels the command, the damping acts on the second alone."""
+        x, v, w = state[:, :2], state[:, 2:3], state[:, 3:4]
+        return np.concatenate([x + DT * state[:, 2:], v + DT * u, w * (1 - DT * xi)], axis=1)
+
+    rng = np.random.default_rng(2)
+    episodes = []
+    for i in range(3):
+        u = rng.normal(size=(30, 1))
+        x = [np.array([0.0, 0.0, 1.0, 0.02])]
+        for row in u[:-1]:
+            x.append(step(x[-1][None], row[None], np.array([[1.0]]))[0])
+        x = np.array(x) + 0.01 * rng.normal(size=(30, 4))
+        episodes.append(nfpde.Episode(f"{i}", DT * np.arange(30), x[:, :2], x[:, 2:], u))
+    simulator = nfpde.CallableSimulator(step, space, ["cart", "wheel"], ["cart", "wheel"])
+    result = nfpde.fit(simulator, nfpde.Dataset(episodes), quiet=True)
+    (advice,) = result.info["record_next"]
+    assert advice["parameter"] == "damping"
+    assert advice["gains"]
+    assert all("wheel" in row["change"] for row in advice["gains"])
+    assert all(row["gain"] is None or row["gain"] > 1.5 for row in advice["gains"])
+    assert any("faster motion of wheel" in line for line in tell(result))
+
+
+def test_nothing_is_asked_for_where_everything_is_known():
+    """Clean recordings of a moving system leave nothing to record."""
+    space = nfpde.ParameterSpace([nfpde.Parameter("rate", low=0.1, high=4.0)])
+
+    def step(x, u, xi):
+        return x * (1 - DT * xi) + DT * u
+
+    simulator = nfpde.CallableSimulator(step, space, positions=["x"])
+    result = nfpde.fit(simulator, episodes_of(step, (1.0,), np.random.default_rng(3), 0.0), quiet=True)
+    assert result.info["record_next"] == []
+    assert result.info["tells"]["parameters"]["rate"]["words"] == "known to better than 0.001 %"
+
+
+def test_errors_before_and_after():
+    """Before: the middle of the bounds; after: what noise leaves. Both in the recorded units."""
+    space = nfpde.ParameterSpace([nfpde.Parameter("gain", low=0.0, high=4.0)])
+
+    def step(x, u, xi):
+        return x + DT * xi * u
+
+    rng = np.random.default_rng(4)
+    dataset = episodes_of(step, (3.0,), rng, 0.0)
+    simulator = nfpde.CallableSimulator(step, space, positions=["x"])
+    (row,) = nfpde.fit(simulator, dataset, quiet=True).info["residuals"].values()
+    pushes = np.concatenate([e.ctrl[:-1, 0] for e in dataset])
+    assert row["before"] == pytest.approx(DT * np.sqrt((pushes**2).mean()))
+    assert row["after"] < 1e-8
