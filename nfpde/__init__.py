@@ -13,6 +13,7 @@ from nfpde.dataset import load_dropo as load_dropo
 from nfpde.dataset import resample_episode as resample_episode
 from nfpde.dataset import save_dataset as save_dataset
 from nfpde.distribution import ParameterDistribution as ParameterDistribution
+from nfpde.effects import DataScales as DataScales
 from nfpde.effects import Effect as Effect
 from nfpde.effects import Quantity as Quantity
 from nfpde.effects import World as World
@@ -26,6 +27,8 @@ from nfpde.estimation import TrajectoryConfig as TrajectoryConfig
 from nfpde.estimation import fit as fit
 from nfpde.evaluate import Evaluation as Evaluation
 from nfpde.evaluate import evaluate as evaluate
+from nfpde.gap import GapReport as GapReport
+from nfpde.gap import diagnose_gap as diagnose_gap
 from nfpde.parameters import Parameter as Parameter
 from nfpde.parameters import ParameterSpace as ParameterSpace
 from nfpde.sim import CallableSimulator as CallableSimulator

@@ -13,7 +13,6 @@ from rich.markup import escape
 
 from nfpde.cli.models import MODEL_HELP, model_file, read_dataset
 from nfpde.gap import diagnose_gap, write_report
-from nfpde.gap.recordings import MOST_WINDOWS
 from nfpde.parameters import ParameterSpace
 
 
@@ -41,8 +40,9 @@ def command(
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
     windows: Annotated[
-        int, typer.Option(min=40, help="windows used of each half: more are slower and surer")
-    ] = MOST_WINDOWS,
+        int | None,
+        typer.Option(min=40, help="windows used of each half; more are slower and surer [default: 80 to 200]"),
+    ] = None,
     seed: Annotated[int, typer.Option(help="decides which episodes are held out")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
 ) -> None:

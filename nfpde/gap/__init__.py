@@ -1,5 +1,6 @@
 """Diagnosis of the gap between a model and recordings of a robot: where, which effect, how far it shrinks."""
 
+from nfpde.gap.diagnose import diagnose_gap as diagnose_gap
 from nfpde.gap.html_report import write_report as write_report
 from nfpde.gap.report import Cause as Cause
 from nfpde.gap.report import Fitted as Fitted

@@ -19,7 +19,7 @@ def summary(
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
         top = where[0]
-        lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, most of it in the regime: {top.regime}.")
+        lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, densest in the regime: {top.regime}.")
     if base and gap.after_parameters < 0.98 * gap.before:
         lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
     lines += [_cause(c) for c in effects]
