@@ -1,10 +1,12 @@
 """What every effect is held to: the motion of plain MuJoCo with the mechanism in it, several values in one batch."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from nfpde.dataset import Dataset, Episode
+from nfpde.dataset import Dataset, Episode, Windows
 from nfpde.effects import effect
 from nfpde.sim import MujocoSimulator, load_model
 from tests.models import load, make_windows, plain_rollout
@@ -36,19 +38,19 @@ SERVO_ARM = """
 """Three joints: a position servo, a velocity servo and a motor; the wrist turns across the other two."""
 
 
-def make(name: str, target: object = None, xml: str = SERVO_ARM, **bounds: tuple[float, float]) -> MujocoSimulator:
+def make(name: str, target: Any = None, xml: str = SERVO_ARM, **bounds: Any) -> MujocoSimulator:
     """A simulator of a model with one effect."""
     return MujocoSimulator(load(xml), None, [effect(name, target, **bounds)], check_influence=False)
 
 
-def predict(sim: MujocoSimulator, values: Sequence[Sequence[float]], windows) -> np.ndarray:
+def predict(sim: MujocoSimulator, values: Sequence[ArrayLike], windows: Windows) -> np.ndarray:
     """Predictions (M, N, H, nx) of one batch; values may lie outside the bounds, as neutral ones do."""
     m, n = len(values), len(windows)
     rows = sim.rollout(np.array(values, float), windows, np.arange(m).repeat(n), np.tile(np.arange(n), m))
     return rows.reshape(m, n, windows.horizon, -1)
 
 
-def neutral_does_nothing(sim: MujocoSimulator, others: Sequence[Sequence[float]], xml: str = SERVO_ARM, **kwargs):
+def neutral_does_nothing(sim: MujocoSimulator, others: Sequence[ArrayLike], xml: str = SERVO_ARM, **kwargs):
     """At its neutral values an effect leaves every bit of the motion alone, other rows of the batch active."""
     windows = make_windows(sim.model, 3, 10, nsub=4, history=sim.history_steps(0.008), **kwargs)
     model = load_model(load(xml))
@@ -59,7 +61,7 @@ def neutral_does_nothing(sim: MujocoSimulator, others: Sequence[Sequence[float]]
         np.testing.assert_array_equal(among[-1, n], expected)
 
 
-def rows_are_apart(sim: MujocoSimulator, values: Sequence[Sequence[float]], **kwargs):
+def rows_are_apart(sim: MujocoSimulator, values: Sequence[ArrayLike], **kwargs):
     """A batch of different values holds the same bits as each of them alone, and no two are equal."""
     windows = make_windows(sim.model, 3, 10, nsub=4, history=sim.history_steps(0.008), **kwargs)
     together = predict(sim, values, windows)
@@ -70,7 +72,7 @@ def rows_are_apart(sim: MujocoSimulator, values: Sequence[Sequence[float]], **kw
 
 def same_as(
     sim: MujocoSimulator,
-    value: Sequence[float],
+    value: ArrayLike,
     xml_or_model,
     before_step: Callable | None = None,
     *,

@@ -1,5 +1,7 @@
 """Effects on bodies and on the world around them, against plain MuJoCo and mechanics."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,10 +11,10 @@ from nfpde.sim import MujocoSimulator, load_model
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, replaced, rows_are_apart, same_as
 from tests.models import FREE_BOX, load, make_windows, plain_rollout
 
-PLACE = {f"position_{axis}": (-1.0, 1.0) for axis in "xyz"}
-SHIFT = {f"shift_{axis}": (-0.5, 0.5) for axis in "xyz"}
-FORCE = {f"force_{axis}": (-50.0, 50.0) for axis in "xyz"}
-WIND = {f"velocity_{axis}": (-30.0, 30.0) for axis in "xyz"}
+PLACE: dict[str, Any] = {f"position_{axis}": (-1.0, 1.0) for axis in "xyz"}
+SHIFT: dict[str, Any] = {f"shift_{axis}": (-0.5, 0.5) for axis in "xyz"}
+FORCE: dict[str, Any] = {f"force_{axis}": (-50.0, 50.0) for axis in "xyz"}
+WIND: dict[str, Any] = {f"velocity_{axis}": (-30.0, 30.0) for axis in "xyz"}
 AIRY = SERVO_ARM.replace('timestep="0.002"', 'timestep="0.002" density="1.2" viscosity="1.8e-5"')
 
 

@@ -1,5 +1,7 @@
 """Effects of the ground, against plain MuJoCo and mechanics."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ PAIRED = BLOCK.replace(
     "<actuator>",
     '<contact><pair geom1="floor" geom2="box" friction="0.3 0.3 0.005 0.0001 0.0001"/></contact><actuator>',
 )
-SOFT = {"time_constant": (0.004, 0.3), "damping_ratio": (0.05, 4)}
+SOFT: dict[str, Any] = {"time_constant": (0.004, 0.3), "damping_ratio": (0.05, 4)}
 
 
 def slide(sim, value, push, steps=300, speed=0.0):

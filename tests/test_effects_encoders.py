@@ -1,5 +1,7 @@
 """Effects on what encoders report: what is reported, and what a servo that reads the encoder does."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from nfpde.errors import BadEffect
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, rows_are_apart
 from tests.models import BALL, load, make_windows, plain_rollout
 
-OFFSETS, SCALES = {"offset": (-1, 1)}, {"scale": (0.5, 2)}
+OFFSETS: dict[str, Any] = {"offset": (-1, 1)}
+SCALES: dict[str, Any] = {"scale": (0.5, 2)}
 
 
 @pytest.mark.parametrize(

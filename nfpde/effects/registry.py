@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -54,14 +54,21 @@ def effect(name: str, target: Target = None, **bounds: Sequence[float]) -> Effec
     return _REGISTRY[name](target, **bounds)
 
 
-def all_candidates(model: mujoco.MjModel, scales: DataScales) -> list[Effect]:
+def all_candidates(model: mujoco.MjModel, scales: DataScales, exclude: Collection[str] = ()) -> list[Effect]:
     """Every registered effect on every element of a model on which a diagnosis should try it.
 
     Args:
         model: The nominal model.
         scales: Typical magnitudes of the recordings.
+        exclude: Names of effects to leave out.
+
+    Raises:
+        BadEffect: A name to leave out that no effect has.
     """
-    return [e for name in effect_names() for e in _REGISTRY[name].candidates(model, scales)]
+    unknown = sorted(set(exclude) - _REGISTRY.keys())
+    if unknown:
+        raise BadEffect(f"exclude: no effect is called {unknown[0]!r}; known: {', '.join(effect_names())}")
+    return [e for name in effect_names() if name not in exclude for e in _REGISTRY[name].candidates(model, scales)]
 
 
 def effects_in(space: ParameterSpace) -> list[Effect]:
