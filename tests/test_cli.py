@@ -26,7 +26,12 @@ from nfpde.truth import Truth
 from tests.models import PENDULUM
 
 SIZES = {"iterations": 3, "samples": 30, "transitions": 8, "gradient-steps": 2, "transforms": 2, "hidden": 8}
-TINY = ["--quiet", *(text for name, value in SIZES.items() for text in (f"--{name}", str(value)))]
+TINY = [
+    "--quiet",
+    "--method",
+    "softmax",
+    *(text for name, value in SIZES.items() for text in (f"--{name}", str(value))),
+]
 
 
 def run(*arguments):
@@ -216,7 +221,10 @@ BAD = {
     "target typo": ("fit hopper {data} --params {tmp}/typo.toml --out {tmp}/x", "torso, thigh, leg, foot"),
     "low above high": ("fit hopper {data} --params {tmp}/bounds.toml --out {tmp}/x", "low (5) must be below high (1)"),
     "other robot": ("fit half_cheetah {data} --out {tmp}/x", "nq=6"),
-    "no iterations": ("fit hopper {data} --out {tmp}/x --iterations 0", "iterations is 0; it must be an integer of at"),
+    "no iterations": (
+        "fit hopper {data} --out {tmp}/x --method softmax --iterations 0",
+        "iterations is 0; it must be an integer of at",
+    ),
     "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer from 0 to 92233"),
     "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "0"),
     "too long": ("fit hopper {data} --out {tmp}/x --horizon 500", "500"),
@@ -365,3 +373,20 @@ def test_ctrl_c(folder, tmp_path):
     assert f"state after {done} of 40 iterations" in err
     assert run(*arguments)[0] == 0
     assert [row["iteration"] for row in FitResult.load(tmp_path / "fit").history] == list(range(1, 41))
+
+
+def test_fit_by_trajectory_is_the_default(folder, tmp_path):
+    """Words on every parameter on the screen, the report beside fit.json; settings of other methods are refused."""
+    quick = ("--starts", 2, "--rounds", 3, "--draws", 10, "--population-rounds", 1, "--resolution", 1e-6, "--quiet")
+    status, out, err = run("fit", "hopper", folder / "data", "--out", tmp_path, *quick)
+    assert (status, err) == (0, "")
+    result = FitResult.load(tmp_path)
+    assert result.info["method"] == "trajectory"
+    assert result.info["resolution"] == 1e-6
+    assert "What the recordings tell of each robot:" in out
+    assert all(row["words"] in out for row in result.info["tells"]["parameters"].values())
+    assert all(name in out for name in ("report.html", "report.png"))
+    assert (tmp_path / "report.html").is_file()
+    status, _, err = run("fit", "hopper", folder / "data", "--out", tmp_path / "x", "--beta", 0.1)
+    assert status == 1
+    assert "--beta is no setting of the method trajectory" in err

@@ -26,7 +26,7 @@ def test_python_of_the_readme_runs_in_order(tmp_path, monkeypatch):
     (tmp_path / "hopper.xml").write_text(hopper.path.read_text())
     nfpde.save_dataset(collect(hopper, "gaussian", episodes=2)[0], tmp_path / "logs.npz")
     monkeypatch.chdir(tmp_path)
-    smallest = nfpde.NfpdeConfig(iterations=1, samples=8, transitions=4)
+    smallest = nfpde.TrajectoryConfig(starts=1, steps=1, rounds=1, draws=4, population_rounds=1)
     full = nfpde.fit
     monkeypatch.setattr(nfpde, "fit", lambda *a, **k: full(*a, **{"config": smallest, "quiet": True, **k}))
     rng = np.random.default_rng(0)
