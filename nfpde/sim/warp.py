@@ -102,11 +102,20 @@ class WarpSimulator(Simulator):
             part = slice(start, start + most)
             vectors, v = np.unique(vector[part], return_inverse=True)
             chosen, w = np.unique(window[part], return_inverse=True)
-            n = 1 << (len(v) - 1).bit_length() if len(v) < most else most
-            sizes = self._sizes(windows, nrow=n, nworld=n, nwindow=n, keep=True)
+            n = min(most, 1 << (len(v) - 1).bit_length())  # few shapes, whose buffers are kept
+            sizes = self._sizes(windows, nrow=n, nworld=n, nwindow=n, keep=True, all_pairs=False)
             batch = self._run(sizes, xi[vectors], windows[chosen], pairs=(v, w))
             out[part] = batch.predictions()[: len(v)]
         self._count(len(vector), windows)
+        return out
+
+    def predict(self, xi: ArrayLike, windows: Windows) -> Array:
+        """See `Simulator.predict`."""
+        xi = self._check(xi, windows)
+        self._check_windows(windows)
+        out = np.empty((len(xi), len(windows), windows.horizon, self.states.nx))
+        for vectors, chosen, batch in self._tiles(xi, windows, None):
+            out[vectors, chosen] = batch.all_predictions(vectors.stop - vectors.start, chosen.stop - chosen.start)
         return out
 
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
@@ -116,15 +125,9 @@ class WarpSimulator(Simulator):
         scale = np.asarray(scale, dtype=np.float64)
         if scale.shape != (self.states.ndiff,) or not (scale > 0).all():
             raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
-        m, n = len(xi), len(windows)
-        out = np.empty((m, n))
-        for vectors, chosen in _tiles(m, n, self._most_worlds(windows, keep=False)):
-            part = windows[np.arange(chosen.start, chosen.stop)]
-            nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
-            sizes = self._sizes(windows, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow, keep=False)
-            batch = self._run(sizes, xi[vectors], part, scale=scale)
-            out[vectors, chosen] = batch.losses(nrow, nwindow)
-        self._count(m * n, windows)
+        out = np.empty((len(xi), len(windows)))
+        for vectors, chosen, batch in self._tiles(xi, windows, scale):
+            out[vectors, chosen] = batch.losses(vectors.stop - vectors.start, chosen.stop - chosen.start)
         return out
 
     def prepare(self, dataset: Dataset) -> Dataset:
@@ -155,6 +158,16 @@ class WarpSimulator(Simulator):
         sizes = next(reversed(self._batches))
         return Usage(sizes.nworld, sizes.nworld * self._bytes(sizes), sizes.nconmax, sizes.njmax)
 
+    def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
+        """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""
+        keep = scale is None
+        for vectors, chosen in _tiles(len(xi), len(windows), self._most_worlds(windows, keep=keep)):
+            nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
+            sizes = self._sizes(windows, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow, keep=keep)
+            part = windows[np.arange(chosen.start, chosen.stop)]
+            yield vectors, chosen, self._run(sizes, xi[vectors], part, scale=scale)
+        self._count(len(xi) * len(windows), windows)
+
     def _run(
         self,
         sizes: Sizes,
@@ -165,18 +178,25 @@ class WarpSimulator(Simulator):
         pairs: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
     ) -> WarpBatch:
         """Run a batch of the shape, with larger buffers for as long as they overflow."""
-        fields = self._model.stage(xi)
+        fields = self._model.stage(xi, derive=self._model.derived is not None and sizes.all_pairs)
         values, active = self._effects.stage(xi)
         while True:
             if self._buffers is None:
                 self._buffers = buffer_sizes(self.model, windows)
-            batch = self._batch(replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1]))
-            batch.stage(fields, values, active, windows)
-            if pairs is None:
-                batch.pair_all(len(xi), len(windows))
-            else:
-                batch.pair(*pairs)
-            overflow = batch.run(np.ones(self.states.ndiff) if scale is None else scale)
+            wanted = replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1])
+            try:
+                batch = self._batch(wanted)
+                batch.stage(fields, values, active, windows)
+                if pairs is None:
+                    batch.pair_all(len(xi), len(windows))
+                else:
+                    batch.pair(*pairs)
+                overflow = batch.run(np.ones(self.states.ndiff) if scale is None else scale)
+            except RuntimeError as error:
+                if not any(word in str(error).lower() for word in ("alloc", "memory")):
+                    raise
+                self._batches.clear()
+                raise out_of_memory(self.device, self._memory, wanted.nworld, self._bytes(wanted)) from None
             if overflow & COLLIDER:
                 raise BadModel(
                     "MuJoCo Warp's buffers for collisions of meshes or height fields overflowed, and their size is "
@@ -196,20 +216,16 @@ class WarpSimulator(Simulator):
             needed = sizes.nworld * self._bytes(sizes)
             while self._batches and (len(self._batches) >= MOST_BATCHES or self._taken() + needed > self._memory):
                 self._batches.pop(next(iter(self._batches)))
-            try:
-                batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
-            except RuntimeError as error:
-                if "alloc" not in str(error).lower() and "memory" not in str(error).lower():
-                    raise
-                self._batches.clear()
-                raise out_of_memory(self.device, self._memory, sizes.nworld, self._bytes(sizes)) from None
+            batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
         self._batches[sizes] = batch
         return batch
 
-    def _sizes(self, windows: Windows, *, nrow: int, nworld: int, nwindow: int, keep: bool) -> Sizes:
+    def _sizes(
+        self, windows: Windows, *, nrow: int, nworld: int, nwindow: int, keep: bool, all_pairs: bool = True
+    ) -> Sizes:
         nhistory, nsub = self.history_steps(windows.control_dt), self.substeps(windows.control_dt)
         nconmax, njmax = self._buffers or (0, 0)
-        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, keep, nconmax, njmax)
+        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, keep, all_pairs, nconmax, njmax)
 
     def _most_worlds(self, windows: Windows, *, keep: bool) -> int:
         """Worlds at once: as many as were asked for, or as fit into the memory that was free at the beginning."""

@@ -39,6 +39,7 @@ class Sizes:
     nhistory: commands from before its start
     nsub: physics steps in a control step
     keep: whether all predicted states are kept, or only their losses
+    all_pairs: whether every row meets every window; otherwise each world has a pair of its own
     nconmax: contacts in a world, on average
     njmax: constraints in a world
     """
@@ -50,6 +51,7 @@ class Sizes:
     nhistory: int
     nsub: int
     keep: bool
+    all_pairs: bool
     nconmax: int
     njmax: int
 
@@ -98,7 +100,11 @@ class WarpBatch:
             self._overflow = wp.zeros(1, dtype=int)
             self._static_geoms = wp.array(model.static_geoms, dtype=int)
             self._elements = effects.elements()
+            # pairs of their own have a row per world, which the host writes; see WarpModel.stage
+            self.derives = bool(model.derived) and z.all_pairs
+            self._constants = mjw.make_data(model.model, nworld=z.nrow, nconmax=8, njmax=32) if self.derives else None
         self._graph: Any = None
+        self._derivation: Any = None
 
     def stage(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32], windows: Windows) -> None:
         """Copy parameters of M <= nrow vectors and n <= nwindow windows onto the device."""
@@ -141,6 +147,10 @@ class WarpBatch:
                     self._control_step()
                 self._graph = capture.graph
             self._begin()
+            if self._derivation is None and self._constants is not None:
+                with wp.ScopedCapture() as capture:
+                    self._model.derive(self.m, self._constants)
+                self._derivation = capture.graph
             for _ in range(self.sizes.horizon):
                 wp.capture_launch(self._graph)
             self._overflow.zero_()
@@ -157,6 +167,11 @@ class WarpBatch:
         """Losses of all pairs after `pair_all`, (nvector, nwindow)."""
         table = np.asarray(self._loss.numpy(), np.float64).reshape(-1, self.sizes.nrow)
         return table[:nwindow, :nvector].T
+
+    def all_predictions(self, nvector: int, nwindow: int) -> NDArray[np.float32]:
+        """Predicted states of all pairs after `pair_all`, (nvector, nwindow, H, nx)."""
+        table = self.predictions().reshape(-1, self.sizes.nrow, *self._predicted.shape[1:])
+        return table[:nwindow, :nvector].swapaxes(0, 1)
 
     def predictions(self) -> NDArray[np.float32]:
         """Predicted states of all worlds, (nworld, H, nx)."""
@@ -176,8 +191,12 @@ class WarpBatch:
         z, nq, nv = self.sizes, self._space.nq, self._space.nv
         d = self.d
         for name, columns in self._model.columns.items():
-            if name not in self._model.step_fields:
+            if name not in self._model.step_fields and not (self.derives and name in (self._model.derived or ())):
                 self._gather(name, columns, self._row)
+        if self._derivation is not None:
+            wp.capture_launch(self._derivation)
+        elif self._constants is not None:
+            self._model.derive(self.m, self._constants)
         self._model.place_static(self.m, d, self._static_geoms)
         wp.launch(
             states._set_start,

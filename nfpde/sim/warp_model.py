@@ -29,6 +29,9 @@ UNUSED = frozenset(
 )
 """Constants that mj_setConst derives and MuJoCo Warp does not read, or derives itself."""
 
+DERIVED = frozenset({"body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0"})
+"""Constants that MuJoCo Warp derives on the device, for all rows at once."""
+
 _PICTURES = ("cam_", "light_")
 """Fields of cameras and lights, which move nothing."""
 
@@ -64,6 +67,7 @@ class WarpModel:
         needed = {*step_fields, *(_LIMITS[f] for f in self._switches)}
         self._fixed = sorted(needed - {*writer.fields})
         self.fields = sorted({*writer.fields, *needed} - {*UNUSED, *self._switches})
+        self.derived = self._derived_on_device(space)
         self.columns: dict[str, slice] = {}
         first = 0
         for name in self.fields:
@@ -81,10 +85,13 @@ class WarpModel:
         place = _PLACES & {*self.fields}
         self.static_geoms = np.flatnonzero(~moving & ~on_mocap).astype(np.int32) if place else np.empty(0, np.int32)
 
-    def stage(self, xi: Array) -> NDArray[np.float32]:
-        """The fields of every parameter vector side by side: xi (M, D) to (M, ncolumn)."""
-        out = np.empty((len(xi), self.ncolumn), np.float32)
-        written = self.writer.rows(xi)
+    def stage(self, xi: Array, *, derive: bool) -> NDArray[np.float32]:
+        """The fields of every parameter vector side by side: xi (M, D) to (M, ncolumn).
+
+        With `derive`, the columns of `derived` hold nothing: `derive` computes them on the device.
+        """
+        out = np.zeros((len(xi), self.ncolumn), np.float32)
+        written = self.writer.written_rows(xi) if derive else self.writer.rows(xi)
         for name in self._fixed:
             written[name] = np.broadcast_to(get_field(self.model, name), (len(xi), *get_field(self.model, name).shape))
         for name in self._switches:
@@ -92,6 +99,8 @@ class WarpModel:
             limits[off] = -_WIDE, _WIDE
             written[_LIMITS[name]] = limits
         for name, columns in self.columns.items():
+            if derive and name not in written:
+                continue
             values = written[name].reshape(len(xi), -1)
             out[:, columns] = 1 / np.sqrt(np.maximum(values, mujoco.mjMINVAL)) if name == "opt.impratio" else values
         return out
@@ -106,6 +115,8 @@ class WarpModel:
         m = _put(self.model, {f: n for f, n in sizes.items() if not f.startswith("opt.")})
         for name, value in self._flags.items():
             setattr(m, name, value)
+        if wp.get_device().is_cuda and not wp.is_conditional_graph_supported():
+            m.opt.graph_conditional = False  # before CUDA 12.4
         m.opt.warn_overflow = 0  # read from the data instead: printing stops the GPU
         views = {}
         for name, n in sizes.items():
@@ -119,6 +130,10 @@ class WarpModel:
             views[name] = wp.array(ptr=array.ptr, dtype=float, shape=(n, size), device=array.device)
         return m, views
 
+    def derive(self, m: mjw.Model, d: mjw.Data) -> None:
+        """Compute the fields of `derived` from the others, of all rows; `d` has a world for each, and is spoiled."""
+        mjw.set_const(m, d, groups=mjw.SetConstGroup.FIXED | mjw.SetConstGroup.INERT0, restore=False)
+
     def place_static(self, m: mjw.Model, d: mjw.Data, geoms: wp.array) -> None:
         """Put geoms of the world where each world's own model has them."""
         if geoms.size:
@@ -129,6 +144,14 @@ class WarpModel:
                 inputs=[m.geom_bodyid, m.geom_pos, m.geom_quat, d.xpos, d.xquat, geoms],
                 outputs=[d.geom_xpos, d.geom_xmat],
             )
+
+    def _derived_on_device(self, space: ParameterSpace) -> frozenset[str] | None:
+        """Fields that the device derives from those of `written_rows`; None where the host must write all of them."""
+        if self.writer.nbase < len(space):  # effects may write anything
+            return None
+        low = self.writer.written_rows(space.low[None])
+        rest = {*self.fields} - low.keys() - {*self._fixed}
+        return frozenset(rest) if rest <= DERIVED else None
 
     def _switch_on(self, space: ParameterSpace) -> None:
         """Switch on, for all worlds, every limit that some parameter vector switches on."""
@@ -172,6 +195,12 @@ def _probes(space: ParameterSpace) -> list[Array]:
 
 
 def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
+    user = int(mujoco.mjtGain.mjGAIN_USER), int(mujoco.mjtBias.mjBIAS_USER)
+    if user[0] in model.actuator_gaintype or user[1] in model.actuator_biastype:
+        raise BadModel(
+            "MuJoCo Warp cannot run this model: its actuators of type user call functions on the host. Give them "
+            "another gaintype and biastype, or use device='cpu'"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

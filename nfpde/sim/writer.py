@@ -94,6 +94,33 @@ class ModelWriter:
                 array[m] = self._scratch[name]
         return out
 
+    def written_rows(self, xi: Array) -> dict[str, Array]:
+        """The fields that parameters of the space name, for every vector, without what MuJoCo derives from them.
+
+        As in `rows`, but all vectors at once: for simulators that derive the rest themselves.
+
+        Raises:
+            BadParameter: effects write into the model, one vector at a time.
+        """
+        if self._effects:
+            raise BadParameter(f"the effect {self._effects[0][0].name} writes whole models; use rows")
+        out: dict[str, Array] = {}
+
+        def rows_of(name: str) -> Array:
+            if name not in out:
+                own = np.asarray(get_field(self.nominal, name), dtype=np.float64)
+                out[name] = np.tile(own, (len(xi), *(1,) * own.ndim))
+            return out[name]
+
+        for slot, values in zip(self._slots, xi[:, : self.nbase].T, strict=True):
+            p = slot.parameter
+            column = values.reshape(-1, *(1,) * slot.nominal.ndim)
+            rows_of(p.field)[(slice(None), *slot.index)] = slot.nominal * column if p.relative else column
+            if slot.inertia is not None:
+                ratio = column if p.relative else column / slot.nominal
+                rows_of("body_inertia")[:, slot.index[0]] = slot.inertia * ratio[..., None]
+        return out
+
     def nominal_values(self) -> Array:
         """The model's own value of every parameter that is a model field; NaN where its elements differ."""
         values = []

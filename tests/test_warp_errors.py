@@ -1,0 +1,111 @@
+"""What WarpSimulator refuses: each error names the thing and what to do."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.errors import BadInput, BadModel
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.sim import make_simulator, warp_device
+from nfpde.sim.warp import WarpSimulator
+from nfpde.sim.warp_batch import WarpBatch
+from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
+
+SPACE = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
+
+
+def pendulum(model=None, **options):
+    return WarpSimulator(model or load(PENDULUM), SPACE, device="warp-cpu", check_influence=False, **options)
+
+
+def test_no_gpu(monkeypatch):
+    """Without a CUDA device the text says what to check and what runs anyway."""
+    monkeypatch.setattr(warp_device, "has_cuda", lambda: False)
+    with pytest.raises(BadInput, match=r"finds no CUDA device; check that nvidia-smi .* or use device='cpu'"):
+        make_simulator(load(PENDULUM), SPACE, device="cuda", check_influence=False)
+
+
+def test_unknown_device():
+    """A device that does not exist, with those that do."""
+    device: Any = "tpu"
+    with pytest.raises(BadInput, match="'tpu'; there are: auto, cpu, cuda, warp-cpu"):
+        make_simulator(load(PENDULUM), SPACE, device=device, check_influence=False)
+
+
+def test_negative_number_of_worlds():
+    """Worlds at once are counted from 1; 0 leaves the number to the memory."""
+    with pytest.raises(BadInput, match="nworld must be positive, or 0"):
+        pendulum(nworld=-1)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda m: setattr(m.opt, "disableflags", int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)), "MIDPHASE"),
+        (lambda m: m.actuator_gaintype.fill(int(mujoco.mjtGain.mjGAIN_USER)), "actuators of type user"),
+    ],
+)
+def test_features_that_warp_lacks(change, text):
+    """MuJoCo Warp's own word for the feature, and what to do."""
+    model = load(PENDULUM)
+    change(model)
+    with pytest.raises(BadModel, match=rf"MuJoCo Warp cannot run this model: .*{text}.* device='cpu'"):
+        pendulum(model)
+
+
+def test_a_field_that_all_worlds_share():
+    """What no world can have of its own is refused before anything is simulated with wrong numbers."""
+    xml = PENDULUM.replace("<geom name=", '<geom fluidshape="ellipsoid" name=')
+    space = ParameterSpace([Parameter("geom_fluid", "bob", 0.1, 1.0, component=1)])
+    with pytest.raises(BadModel, match=r"no geom_fluid of each world's own.*leave out the parameter"):
+        WarpSimulator(load(xml), space, device="warp-cpu", check_influence=False)
+
+
+def test_pgs_is_replaced():
+    """The PGS solver, which MuJoCo Warp lacks, is Newton's here as in every simulator of the package."""
+    model = load(DOUBLE_PENDULUM)
+    model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+    space = ParameterSpace([Parameter("dof_frictionloss", "elbow", 0.0, 1.0)])
+    sim = WarpSimulator(model, space, device="warp-cpu", check_influence=False)
+    windows = make_windows(sim.model, 2, 2)
+    np.testing.assert_allclose(sim.predict([[0.5]], windows), sim.reference.predict([[0.5]], windows), atol=1e-5)
+
+
+def test_out_of_memory(monkeypatch):
+    """The number of worlds that would fit is in the text."""
+    sim = pendulum(nworld=64)
+    windows = make_windows(sim.model, 64, 1)
+
+    def full(*_):
+        raise RuntimeError("Failed to allocate 99999 bytes on device 'cuda:0'")
+
+    sim.losses([[0.5]], windows, np.ones(2))
+    sim._batches.clear()
+    monkeypatch.setattr(WarpBatch, "run", full)
+    with pytest.raises(BadInput, match=r"no memory for 64 worlds of about \d+ KiB each; .*pass nworld=32"):
+        sim.losses([[0.5]], windows, np.ones(2))
+
+
+def test_other_errors_of_warp_pass(monkeypatch):
+    """An error that is not about memory is not taken for one."""
+    sim = pendulum()
+
+    def broken(*_):
+        raise RuntimeError("CUDA error 700: an illegal access")
+
+    monkeypatch.setattr(WarpBatch, "run", broken)
+    with pytest.raises(RuntimeError, match="CUDA error 700"):
+        sim.losses([[0.5]], make_windows(sim.model, 2, 1), np.ones(2))
+
+
+def test_the_memory_of_a_world_is_that_of_its_arrays():
+    """Bytes per world, found from small batches, are those of a large one."""
+    sim = pendulum()
+    windows = make_windows(sim.model, 300, 1)
+    sim.losses([[0.5], [0.2]], windows, np.ones(2))
+    (batch,) = sim._batches.values()
+    predicted = sim.usage().nbytes
+    # rows and windows are counted for every world, and shared arrays of the model not at all
+    assert 0.7 * predicted < batch.nbytes() < 1.1 * predicted
