@@ -32,7 +32,8 @@ class Backlash(Effect):
     momentum of both (an impulse of J times the difference of their speeds, in one physics step). A servo measures
     the rotor, which is integrated implicitly in the servo's gains: they may be too stiff for it, not for the joint.
 
-    No recording says where in the play a window starts: the rotor is taken to be where its torque pushes.
+    No recording says where in the play a window starts: the rotor is taken to be at the end where the teeth transmit
+    the torque of the first step. Windows that start while it crosses the play are predicted wrong.
     """
 
     name = "backlash"
@@ -73,7 +74,8 @@ class Backlash(Effect):
         """Couple or uncouple the rotors for this step, and move those that are free to its end.
 
         The memory of each rotor: the end of the play it is at (+1 or -1, 0 in between), its position and speed as
-        seen at the joint, and the joint's speed one step ago (NaN where the change since says nothing).
+        seen at the joint, and the joint's speed one step ago (NaN where the change since says nothing). A rotor's end
+        is NaN until it is known.
         """
         d, half, dt = self.drives, 0.5 * values, world.model.opt.timestep
         memory = world.memory.setdefault(self, np.full((4, len(world.qpos), len(self.ids)), np.nan))
@@ -81,9 +83,11 @@ class Backlash(Effect):
         joint, joint_speed = world.qpos[np.ix_(rows, d.qposadr)], world.qvel[np.ix_(rows, d.dofs)]
         armature = world.fields["dof_armature"][np.ix_(rows, d.dofs)]
         inertia = np.where(armature > 0, armature, self.spare)
-        if np.isnan(side).any():
-            pushing = np.where(d.torque(world, rows) < 0, -1.0, 1.0)
-            side = np.where(np.isnan(side), pushing, side)
+        acceleration = np.where(np.isnan(before), 0.0, joint_speed - before) / dt
+        unknown = np.isnan(side)
+        if unknown.any():  # in the first step, and in the second, which knows the acceleration
+            pushing = np.where(d.torque(world, rows) - inertia * acceleration < 0, -1.0, 1.0)
+            side = np.where(unknown, pushing, side)
 
         # free rotors that cross the play nearer to now than to the next step meet the joint, if not on their way back
         closing = speed - joint_speed
@@ -96,12 +100,12 @@ class Backlash(Effect):
         position = np.where(side != 0, joint + side * half, position)
         speed = np.where(side != 0, joint_speed, speed)
         torque = d.torque(world, rows, position, speed)
-        acceleration = np.where(np.isnan(before), 0.0, joint_speed - before) / dt
         side = np.where(~met & (side * (torque - inertia * acceleration) < 0), 0.0, side)
 
         stiffness, damping = self._couple(world, rows, side == 0, position - joint)
         change = dt * (torque - dt * stiffness * speed) / (inertia + dt * (damping + dt * stiffness))
         speed = speed + change  # of use, as the position, while the rotor is free
+        side = np.where(unknown & np.isnan(before), np.nan, side)
         memory[:, rows] = side, position + dt * speed, speed, np.where(met, np.nan, joint_speed)
 
     def _couple(self, world: World, rows: Rows, free: NDArray[np.bool_], ahead: Array) -> tuple[Array, Array]:
