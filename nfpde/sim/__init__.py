@@ -2,6 +2,7 @@
 
 from nfpde.sim.callable import CallableSimulator as CallableSimulator
 from nfpde.sim.cpu import MujocoSimulator as MujocoSimulator
+from nfpde.sim.export import export_mjcf as export_mjcf
 from nfpde.sim.model import load_model as load_model
 from nfpde.sim.model import model_hash as model_hash
 from nfpde.sim.select import Device as Device

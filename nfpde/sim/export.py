@@ -1,0 +1,213 @@
+"""A robot with fitted parameters and effects as an MJCF file, for use without this package."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nfpde.effects import Effect
+from nfpde.effects.effect import overrides
+from nfpde.errors import BadEffect, BadModel, BadParameter
+from nfpde.parameters import ParameterSpace
+from nfpde.sim.acting import effect_columns
+from nfpde.sim.fields import array_fields, get_field
+from nfpde.sim.writer import ModelWriter
+
+_DIGITS = 1e-4
+"""Relative difference that the decimals of an MJCF file may make."""
+
+_HOOKS = ("command", "step", "to_simulated", "to_measured")
+
+
+def export_mjcf(
+    model: str | Path,
+    effects: Sequence[Effect],
+    values: ArrayLike,
+    out: str | Path,
+    space: ParameterSpace | None = None,
+) -> Path:
+    """Write an MJCF file of a model with parameters and effects in it, where MuJoCo has their mechanism.
+
+    What was written is loaded again and compared, number by number, with what the simulators of this package use.
+
+    Args:
+        model: MJCF or URDF file of the nominal model.
+        effects: effects, not bound.
+        values: those of `space` first, if there is one, then those of the effects in order, (D,). Parameters of
+            effects may be neutral.
+        out: file to write.
+        space: parameters that are model fields.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        BadModel: no such file, or one that MuJoCo cannot compile.
+        BadParameter: the wrong number of values, or one that MJCF cannot hold.
+        BadEffect: an effect that acts while the simulation runs, which MJCF cannot say; `RandomizedParameters` of
+            `nfpde.rl` gives it to a Gymnasium environment.
+
+    Example:
+        `export_mjcf("arm.xml", [effect("viscous_damping", "elbow", damping=(0, 1))], [0.4], "greasy_arm.xml")`
+    """
+    path, out = Path(model), Path(out)
+    spec, nominal = _compiled(path)
+    xi = np.asarray(values, dtype=np.float64)
+    bound = [e.bind(nominal) for e in effects]
+    nbase = 0 if space is None else len(space)
+    count = nbase + sum(len(e.parameters) for e in bound)
+    if xi.shape != (count,) or not np.isfinite(xi).all():
+        raise BadParameter(f"export: expected {count} finite values, those of the space first, got {values!r}")
+    for e, columns in zip(bound, effect_columns(bound, nbase), strict=True):
+        _refuse_hooks(e, xi[columns])
+    target = copy.copy(nominal)
+    ModelWriter(nominal, space, bound).write(target, xi)
+    changed = _changes(nominal, target)
+    for field in changed:
+        if field in _WRITERS:
+            _WRITERS[field](spec, nominal, target)
+    spec.meshdir, spec.texturedir = (str((path.parent / d).resolve()) for d in (spec.meshdir, spec.texturedir))
+    spec.compile()
+    out.write_text(spec.to_xml(), encoding="utf-8")
+    _check(out, target, changed)
+    return out
+
+
+def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    if not path.is_file():
+        raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        model = spec.compile()
+    except ValueError as error:
+        raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return spec, model
+
+
+def _refuse_hooks(effect: Effect, values: NDArray[np.float64]) -> None:
+    hooks = [h for h in _HOOKS if overrides(effect, h)]
+    if hooks and effect.active(values[None])[0]:
+        raise BadEffect(
+            f"{effect.name} on {effect.place}: it acts while the simulation runs ({', '.join(hooks)}), which an MJCF "
+            "file cannot say; give it to a Gymnasium environment with nfpde.rl.RandomizedParameters, or simulate it "
+            "with nfpde.sim.MujocoSimulator"
+        )
+
+
+def _changes(nominal: mujoco.MjModel, target: mujoco.MjModel) -> list[str]:
+    """Fields in which two compiled models differ."""
+    return [f for f in array_fields(nominal) if not np.array_equal(get_field(nominal, f), get_field(target, f))]
+
+
+def _check(out: Path, target: mujoco.MjModel, changed: list[str]) -> None:
+    """Load the file and compare all that was to change.
+
+    Raises:
+        BadParameter: a field that did not arrive.
+    """
+    found = mujoco.MjModel.from_xml_path(str(out))
+    mujoco.mj_setConst(found, mujoco.MjData(found))
+    wrong = [f for f in changed if not f.startswith(_FOLLOW) and not _close(get_field(target, f), get_field(found, f))]
+    if not wrong and not _close(_inertias(target), _inertias(found)):
+        wrong = ["body_inertia"]
+    if wrong:
+        out.unlink()
+        raise BadParameter(f"{out}: an MJCF file made from this model cannot hold the changed field {wrong[0]}")
+
+
+_FOLLOW = ("bvh_", "body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe")
+"""Fields that follow from others, or that a file may say in another way: principal axes in another order."""
+
+
+def _close(want: NDArray[Any], got: NDArray[Any]) -> bool:
+    want, got = np.asarray(want, dtype=np.float64), np.asarray(got, dtype=np.float64)
+    size = float(np.abs(want).max(initial=0.0))
+    return want.shape == got.shape and np.allclose(got, want, rtol=_DIGITS, atol=_DIGITS * _DIGITS * min(size, 1e3))
+
+
+def _inertias(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Inertia tensors of all bodies about their centres, in their own frames, (nbody, 3, 3)."""
+    turns = np.empty((model.nbody, 9))
+    for turn, quat in zip(turns, model.body_iquat, strict=True):
+        mujoco.mju_quat2Mat(turn, quat)
+    axes = turns.reshape(-1, 3, 3)
+    return np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes)
+
+
+def _per_element(field: str, elements: str, attribute: str, first_only: bool = False) -> Callable[..., None]:
+    """Writes a field into the elements of a spec where it has changed."""
+
+    def write(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+        old, new = get_field(nominal, field), get_field(target, field)
+        for element in getattr(spec, elements):
+            at = int(nominal.jnt_dofadr[element.id]) if field.startswith("dof_") else element.id
+            if np.array_equal(old[at], new[at]):
+                continue
+            if first_only:
+                values = np.array(getattr(element, attribute), dtype=np.float64)
+                values[0] = new[at]
+                setattr(element, attribute, values)
+            else:
+                setattr(element, attribute, new[at])
+
+    return write
+
+
+def _bodies(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    fields = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+    for body in spec.bodies:
+        i = body.id
+        if all(np.array_equal(get_field(nominal, f)[i], get_field(target, f)[i]) for f in fields):
+            continue
+        body.explicitinertial = True
+        body.mass, body.ipos = float(target.body_mass[i]), target.body_ipos[i]
+        body.iquat, body.inertia = target.body_iquat[i], target.body_inertia[i]
+        body.fullinertia = np.full(6, np.nan)
+
+
+def _geom_positions(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    for geom in spec.geoms:
+        move = target.geom_pos[geom.id] - nominal.geom_pos[geom.id]
+        if move.any():
+            geom.pos = geom.pos + move
+            geom.fromto = geom.fromto + np.tile(move, 2)  # NaN, and left so, where the geom has none
+
+
+def _limits(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    for joint in spec.joints:
+        if target.jnt_actfrclimited[joint.id]:
+            joint.actfrclimited, joint.actfrcrange = 1, target.jnt_actfrcrange[joint.id]
+
+
+def _option(name: str) -> Callable[..., None]:
+    def write(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+        setattr(spec.option, name, getattr(target.opt, name))
+
+    return write
+
+
+_WRITERS: dict[str, Any] = {
+    "dof_damping": _per_element("dof_damping", "joints", "damping", first_only=True),
+    "dof_armature": _per_element("dof_armature", "joints", "armature"),
+    "dof_frictionloss": _per_element("dof_frictionloss", "joints", "frictionloss"),
+    "jnt_stiffness": _per_element("jnt_stiffness", "joints", "stiffness", first_only=True),
+    "jnt_actfrcrange": _limits,
+    "geom_friction": _per_element("geom_friction", "geoms", "friction"),
+    "geom_solref": _per_element("geom_solref", "geoms", "solref"),
+    "geom_pos": _geom_positions,
+    "pair_friction": _per_element("pair_friction", "pairs", "friction"),
+    "pair_solref": _per_element("pair_solref", "pairs", "solref"),
+    "actuator_gainprm": _per_element("actuator_gainprm", "actuators", "gainprm"),
+    "actuator_biasprm": _per_element("actuator_biasprm", "actuators", "biasprm"),
+    "actuator_gear": _per_element("actuator_gear", "actuators", "gear"),
+    **dict.fromkeys(("body_mass", "body_ipos", "body_iquat", "body_inertia"), _bodies),
+    **{f"opt.{o}": _option(o) for o in ("gravity", "wind", "density", "viscosity", "timestep", "magnetic")},
+}
+"""What writes each field that effects and parameters change into a spec; others follow when it is compiled."""

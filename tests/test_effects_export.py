@@ -1,0 +1,81 @@
+"""Effects written into an MJCF file: plain MuJoCo then moves as the simulator does."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.effects import effect
+from nfpde.errors import BadEffect, BadModel, BadParameter
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.sim import export_mjcf, load_model
+from tests.effect_checks import SERVO_ARM, make, same_as
+from tests.models import BLOCK, FREE_BOX, load
+
+SHIFT: dict[str, Any] = {f"shift_{axis}": (-0.5, 0.5) for axis in "xyz"}
+PLACE: dict[str, Any] = {f"position_{axis}": (-1.0, 1.0) for axis in "xyz"}
+WIND: dict[str, Any] = {f"velocity_{axis}": (-30.0, 30.0) for axis in "xyz"}
+
+CASES = [
+    (SERVO_ARM, "viscous_damping", "elbow", {"damping": (0, 2)}, [0.7]),
+    (SERVO_ARM, "coulomb_friction", "*", {"torque": (0, 2)}, [0.2]),
+    (SERVO_ARM, "armature", "elbow", {"inertia": (0, 2)}, [0.04]),
+    (SERVO_ARM, "motor_strength", "shoulder_servo", {"scale": (0, 2)}, [0.7]),
+    (SERVO_ARM, "servo_gain", "shoulder_servo", {"kp_scale": (0.1, 9), "kv_scale": (0.1, 9)}, [0.5, 2.0]),
+    (SERVO_ARM, "torque_limit", "elbow_servo", {"limit": (0.1, 9)}, [0.8]),
+    (SERVO_ARM, "payload", "hand", {"mass": (0, 3), **PLACE}, [0.8, 0.1, 0.05, -0.2]),
+    (SERVO_ARM, "com_shift", "lower", SHIFT, [0.05, 0.02, -0.1]),
+    (SERVO_ARM, "gravity_tilt", None, {"roll": (-1, 1), "pitch": (-1, 1)}, [0.2, -0.1]),
+    (SERVO_ARM, "fluid_drag", None, {"density": (0, 1000), "viscosity": (0, 5)}, [300.0, 0.5]),
+    (SERVO_ARM, "wind", None, WIND, [4.0, -7.0, 2.0]),
+    (BLOCK, "ground_friction", None, {"sliding": (0.01, 3)}, [0.8]),
+    (BLOCK, "contact_softness", None, {"time_constant": (0.004, 0.3), "damping_ratio": (0.05, 4)}, [0.06, 0.4]),
+    (BLOCK, "ground_height", None, {"height": (-0.05, 0.05)}, [0.01]),
+]
+
+
+@pytest.mark.parametrize(("xml", "name", "target", "bounds", "values"), CASES)
+def test_the_file_moves_as_the_simulator(tmp_path, xml, name, target, bounds, values):
+    """Plain MuJoCo on the exported file, within its decimals, and visibly other than the nominal model."""
+    (tmp_path / "robot.xml").write_text(xml)
+    out = export_mjcf(tmp_path / "robot.xml", [effect(name, target, **bounds)], values, tmp_path / "changed.xml")
+    sim = make(name, target, xml, **bounds)
+    model = mujoco.MjModel.from_xml_path(str(out))
+    # files have six digits
+    same_as(sim, values, model, atol=2e-4, spread=0.01 if xml is BLOCK else 0.3)
+    with pytest.raises(AssertionError):
+        same_as(sim, values, xml, atol=2e-4, spread=0.01 if xml is BLOCK else 0.3)
+
+
+def test_parameters_and_effects_together(tmp_path):
+    """A space of model fields comes first in the values."""
+    (tmp_path / "robot.xml").write_text(SERVO_ARM)
+    space = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
+    chosen = [effect("viscous_damping", "elbow", damping=(0, 2)), effect("com_shift", "lower", **SHIFT)]
+    out = export_mjcf(tmp_path / "robot.xml", chosen, [0.9, 0.3, 0.0, 0.02, 0.01], tmp_path / "changed.xml", space)
+    old, new = load(SERVO_ARM), load_model(out)
+    body, dof = old.body("lower").id, old.joint("elbow").dofadr[0]
+    assert new.body_mass[body] == pytest.approx(0.9)
+    np.testing.assert_allclose(new.body_ipos[body], old.body_ipos[body] + [0.0, 0.02, 0.01], atol=1e-6)
+    np.testing.assert_allclose(np.sort(new.body_inertia[body]), np.sort(old.body_inertia[body]) * 0.9 / 0.7, rtol=1e-5)
+    assert new.dof_damping[dof] == pytest.approx(0.4)
+
+
+def test_effects_that_act_while_it_runs_are_refused(tmp_path):
+    """With the way to use them; neutral ones are let through."""
+    (tmp_path / "robot.xml").write_text(SERVO_ARM)
+    late = effect("actuation_delay", "*", delay=(0, 0.1))
+    with pytest.raises(BadEffect, match=r"actuation_delay on all: .*nfpde\.rl\.RandomizedParameters"):
+        export_mjcf(tmp_path / "robot.xml", [late], [0.02], tmp_path / "out.xml")
+    assert not (tmp_path / "out.xml").exists()
+    assert export_mjcf(tmp_path / "robot.xml", [late], [0.0], tmp_path / "out.xml").exists()
+
+
+def test_wrong_calls_are_refused(tmp_path):
+    """A missing file, and values that are too few."""
+    with pytest.raises(BadModel, match="no such file"):
+        export_mjcf(tmp_path / "none.xml", [], [], tmp_path / "out.xml")
+    (tmp_path / "box.xml").write_text(FREE_BOX)
+    with pytest.raises(BadParameter, match="expected 3 finite values"):
+        export_mjcf(tmp_path / "box.xml", [effect("wind", **WIND)], [1.0], tmp_path / "out.xml")
