@@ -280,6 +280,19 @@ def test_both_stages_go_on_after_an_interruption():
         assert a.covariances.tolist() == b.covariances.tolist()
 
 
+def test_a_finished_fit_is_read_back(tmp_path):
+    """The same call on its folder draws nothing anew and writes the same bytes, counts and seconds included."""
+    rng = np.random.default_rng(21)
+    dataset = nfpde.Dataset([e for i in range(3) for e in moments(f"{i}", (1.0 + i, 0.5), rng)])
+    nfpde.fit(linear_simulator(), dataset, out=tmp_path, quiet=True)
+    files = [tmp_path / "fit.json", tmp_path / "distribution" / "flow.safetensors"]
+    written = [f.read_bytes() for f in files]
+    nfpde.fit(linear_simulator(), dataset, out=tmp_path, quiet=True)
+    assert [f.read_bytes() for f in files] == written
+    with pytest.raises(nfpde.NfpdeError, match=r"resolution: saved nothing, now 0\.1"):
+        nfpde.fit(linear_simulator(), dataset, out=tmp_path, resolution=0.1, quiet=True)
+
+
 def pendulum_step(state, u, xi):
     """A damped pendulum, semi-implicit Euler in five parts of a step."""
     angle, speed = state[:, 0], state[:, 1]
