@@ -1,7 +1,9 @@
 """Effects written into an MJCF file: plain MuJoCo then moves as the simulator does."""
 
+from pathlib import Path
 from typing import Any
 
+import gymnasium.envs.mujoco as mujoco_envs
 import mujoco
 import numpy as np
 import pytest
@@ -60,6 +62,20 @@ def test_parameters_and_effects_together(tmp_path):
     np.testing.assert_allclose(new.body_ipos[body], old.body_ipos[body] + [0.0, 0.02, 0.01], atol=1e-6)
     np.testing.assert_allclose(np.sort(new.body_inertia[body]), np.sort(old.body_inertia[body]) * 0.9 / 0.7, rtol=1e-5)
     assert new.dof_damping[dof] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("robot", ["half_cheetah", "hopper", "ant"])
+def test_files_that_take_inertias_from_geoms(tmp_path, robot):
+    """Gymnasium's robots infer all inertias, and one rescales its masses: the payload is there, nothing else moves."""
+    assets = Path(mujoco_envs.__file__).parent / "assets"
+    load_it = effect("payload", "torso", mass=(0, 3), **PLACE)
+    out = export_mjcf(assets / f"{robot}.xml", [load_it], [0.8, 0.1, 0.0, -0.1], tmp_path / "loaded.xml")
+    old, new = load_model(assets / f"{robot}.xml"), load_model(out)
+    torso = old.body("torso").id
+    np.testing.assert_allclose(new.body_mass - old.body_mass, 0.8 * (np.arange(old.nbody) == torso), atol=1e-4)
+    arm = np.array([0.1, 0.0, -0.1]) - old.body_ipos[torso]
+    expected = old.body_ipos[torso] + arm * 0.8 / (old.body_mass[torso] + 0.8)
+    np.testing.assert_allclose(new.body_ipos[torso], expected, atol=1e-5)
 
 
 def test_effects_that_act_while_it_runs_are_refused(tmp_path):
