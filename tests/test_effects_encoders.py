@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nfpde.effects import effect
 from nfpde.errors import BadEffect
-from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, rows_are_apart
+from nfpde.sim import MujocoSimulator
+from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, replaced, rows_are_apart
 from tests.models import BALL, load, make_windows, plain_rollout
 
 OFFSETS: dict[str, Any] = {"offset": (-1, 1)}
@@ -54,6 +56,23 @@ def test_sensor_scale_is_that_of_the_encoder_a_servo_reads(joint, column):
     for n in range(3):
         expected = plain_rollout(model, windows.start[n] / factor, windows.ctrl[n], 4) * factor
         np.testing.assert_allclose(predicted[n], expected, rtol=0, atol=1e-11)
+
+
+def test_offset_and_gain_compose_in_any_order():
+    """A servo gives kp (u - (q + offset)) with twice the kp, whichever effect is named first."""
+    chosen = [
+        effect("joint_offset", "shoulder", **OFFSETS),
+        effect("servo_gain", "shoulder_servo", kp_scale=(0.1, 9), kv_scale=(0.1, 9)),
+    ]
+    firm = load(replaced('kp="40"', 'kp="80"'))
+    shift = np.array([0.3, 0, 0, 0, 0, 0])
+    for order, values in (([0, 1], [0.3, 2.0, 1.0]), ([1, 0], [2.0, 1.0, 0.3])):
+        sim = MujocoSimulator(load(SERVO_ARM), None, [chosen[i] for i in order])
+        windows = make_windows(sim.model, 2, 10, nsub=4)
+        sent = windows.ctrl - np.array([0.3, 0, 0])
+        for n, predicted in enumerate(predict(sim, [values], windows)[0]):
+            expected = plain_rollout(firm, windows.start[n] - shift, sent[n], 4) + shift
+            np.testing.assert_allclose(predicted, expected, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize(("name", "bounds"), [("joint_offset", OFFSETS), ("sensor_scale", SCALES)])

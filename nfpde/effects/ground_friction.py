@@ -27,7 +27,7 @@ class GroundFriction(Effect):
     name = "ground_friction"
     kind = None
     whole = "contact"
-    quantities = (Quantity("sliding", "-", 0.0, math.inf, neutral=-1.0, log=True),)
+    quantities = (Quantity("sliding", "-", 0.0, math.inf, neutral=1.0, log=True),)
     sentence = "The ground is more or less slippery than in the model."
     confounders = ("contact_softness",)
     default_bounds: ClassVar[Bounds] = {"sliding": (0.05, 3.0)}

@@ -68,7 +68,8 @@ class ModelWriter:
         self._slots = slots_of(self.nominal, space)
         refuse_impossible(self.nominal, self._slots)
         columns = zip(effects, effect_columns(effects, self.nbase), strict=True)
-        self._effects = [(e, c) for e, c in columns if overrides(e, "write_model")]
+        writing = [(e, c) for e, c in columns if overrides(e, "write_model")]
+        self._effects = sorted(writing, key=lambda pair: pair[0].writes_last)
         self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
         self._nominal_fields: dict[str, NDArray[Any]] = {}
