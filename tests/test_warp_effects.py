@@ -16,12 +16,15 @@ CASES = {
     "actuation_delay": ("*", {"delay": (0.0, 0.03)}),
     "actuator_bias": ("elbow_motor", {"offset": (-1.0, 1.0)}),
     "actuator_lag": ("*", {"time_constant": (0.0, 0.02)}),
+    "dead_zone": ("*", {"half_width": (0.0, 0.5)}),
     "external_force": ("lower", {"force_x": (-5, 5), "force_y": (-5, 5), "force_z": (-5, 5)}),
     "joint_offset": ("shoulder", {"offset": (-0.5, 0.5)}),
     "joint_spring": ("*", {"stiffness": (0.0, 3.0), "rest": (-1.0, 1.0)}),
+    "load_friction": ("*", {"base": (0.0, 0.3), "share": (0.0, 0.9)}),
     "observation_delay": (None, {"delay": (0.0, 0.03)}),
     "sensor_scale": ("*", {"scale": (0.6, 1.7)}),
     "stribeck_friction": ("*", {"coulomb": (0.0, 0.5), "static": (0.0, 1.0), "speed": (0.05, 0.5)}),
+    "torque_speed": ("*", {"no_load_speed": (0.5, 5.0), "stall_torque": (0.2, 3.0)}),
 }
 
 
@@ -30,7 +33,9 @@ def arm(*effects, **options):
 
 
 def neutral(sim):
-    return np.array([q.neutral for e in sim.effects for q in e.quantities])
+    """The box's point nearest to where the effects do nothing."""
+    values = np.array([q.neutral for e in sim.effects for q in e.quantities])
+    return np.clip(values, sim.space.low, sim.space.high)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -46,6 +51,43 @@ def test_kernel_equals_its_twin(name):
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
     scale = np.ones(4)
     np.testing.assert_allclose(sim.losses(xi, windows, scale), sim.reference.losses(xi, windows, scale), rtol=1e-3)
+
+
+SERVOS = DOUBLE_PENDULUM.replace(
+    '<motor joint="shoulder" gear="3"/>',
+    '<position joint="shoulder" gear="2" kp="20" kv="1" ctrlrange="-0.5 0.5" forcerange="-3 3"/>',
+).replace(
+    '<motor name="elbow_motor" joint="elbow"/>', '<velocity name="elbow_motor" joint="elbow" kv="3" ctrlrange="-1 1"/>'
+)
+
+
+@pytest.mark.parametrize("name", ["dead_zone", "joint_offset", "load_friction", "sensor_scale", "torque_speed"])
+def test_kernel_equals_its_twin_with_servos(name):
+    """Position and velocity servos with gears and limits, where the effects act in other ways than with motors."""
+    bounds = CASES[name][1]
+    sim = WarpSimulator(load(SERVOS), None, [effect(name, "*", **bounds)], device="warp-cpu", check_influence=False)
+    windows = make_windows(sim.model, 4, 5, nsub=4)
+    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
+    expected = sim.reference.predict(xi, windows)
+    assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "weak"),
+    [
+        ("torque_limit", {"limit": (0.1, 1e12)}, [0.3]),
+        ("torque_speed", {"no_load_speed": (0.1, 1e12), "stall_torque": (0.1, 1e12)}, [2.0, 0.3]),
+    ],
+)
+def test_limits_that_only_some_rows_have(name, bounds, weak):
+    """All worlds share whether a joint's force is limited; rows without the effect get a range that nothing reaches."""
+    sim = arm(effect(name, "*", **bounds))
+    windows = make_windows(sim.model, 4, 5, nsub=4)
+    xi = np.array([[1e12] * len(weak), weak])
+    expected = sim.reference.predict(xi, windows)
+    assert np.abs(expected[1] - expected[0]).max() > 100 * TOLERANCE
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
 
 
 def test_every_kernel_has_a_case():

@@ -75,6 +75,7 @@ class WarpBatch:
         z, nx, nu = sizes, space.nx, model.model.nu
         with wp.ScopedDevice(device):
             self.m, self._fields = model.put(z.nrow, z.nworld)
+            self._seen = {**self._fields, **model.views(self.m, effects.read_fields)}
             self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
             self.m.callback.passive = self._flag_overflow
             self._staged_rows = wp.zeros((z.nrow, model.ncolumn), dtype=float)
@@ -99,7 +100,7 @@ class WarpBatch:
             self._step = wp.zeros(1, dtype=int)
             self._overflow = wp.zeros(1, dtype=int)
             self._static_geoms = wp.array(model.static_geoms, dtype=int)
-            self._elements = effects.elements()
+            self._elements = effects.elements(model.model)
             # pairs of their own have a row per world, which the host writes; see WarpModel.stage
             self.derives = bool(model.derived) and z.all_pairs
             self._constants = mjw.make_data(model.model, nworld=z.nrow, nconmax=8, njmax=32) if self.derives else None
@@ -265,7 +266,7 @@ class WarpBatch:
                 self._gather(name, self._model.columns[name], self._staged.world_row)
             d.qfrc_applied.zero_()
             d.xfrc_applied.zero_()
-            self._effects.before_step(self._elements, self._staged, d, self._fields)
+            self._effects.before_step(self._elements, self._staged, d, self._seen)
         mjw.step(self.m, d)
         wp.launch(
             states._flag_divergence,

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
-from nfpde.kernels import commands, forces, friction, sensors
+from nfpde.kernels import commands, drives, forces, friction, sensors
 from nfpde.sim.acting import effect_columns
 
 Array = NDArray[np.float64]
@@ -37,41 +38,61 @@ class Staged:
 
 
 @dataclass(frozen=True)
-class StepKernel:
-    """The kernel of an effect before every physics step.
+class Launch:
+    """The kernel of an effect in one of its places, launched for every world and element.
 
-    Its arguments are, in order: what it reads, the staged values, `active` and `world_row`, the ids of the elements
-    it acts on, the first column of its values, its column of `active`, and what it changes.
-
-    kernel: launched for every world and element
-    ids: attributes of a bound effect with the elements it acts on, all of one length
-    reads: arrays of mjw.Data
-    changes: arrays of mjw.Data, or model fields among the effect's `step_fields`, as (nworld, numbers) of floats
+    kernel: see `nfpde.kernels`
+    elements: what it gets of each element; see `numbers_of`
+    reads: what a kernel before a physics step reads: fields of the model, as (rows, numbers) of floats, then arrays of
+        mjw.Data
+    changes: what it changes: fields of the model, as (nworld, numbers) of floats, or arrays of mjw.Data
     """
 
     kernel: Any
-    ids: tuple[str, ...]
-    reads: tuple[str, ...]
-    changes: tuple[str, ...]
+    elements: tuple[str, ...]
+    reads: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
 
 
-COMMANDS: dict[str, Any] = {
-    "actuation_delay": commands._delay_commands,
-    "actuator_bias": commands._offset_commands,
-    "actuator_lag": commands._lag_commands,
-    "observation_delay": commands._delay_commands,
+COMMANDS = {
+    "actuation_delay": Launch(commands._delay_commands, ("ctrls",)),
+    "actuator_bias": Launch(commands._offset_commands, ("ctrls",)),
+    "actuator_lag": Launch(commands._lag_commands, ("ctrls",)),
+    "dead_zone": Launch(drives._cut_commands, ("motors.ctrls", "motors.low", "motors.high")),
+    "observation_delay": Launch(commands._delay_commands, ("ctrls",)),
 }
-"""Effects on commands; all kernels have the same arguments, see `nfpde.kernels.commands`."""
+"""Effects on commands; all kernels have the same other arguments, see `nfpde.kernels.commands`."""
 
-STEPS: dict[str, StepKernel] = {
-    "external_force": StepKernel(forces._push_bodies, ("ids",), (), ("xfrc_applied",)),
-    "joint_spring": StepKernel(forces._pull_joints, ("dofs", "qposadr"), ("qpos",), ("qfrc_applied",)),
-    "stribeck_friction": StepKernel(friction._add_stribeck_friction, ("dofs",), ("qvel",), ("dof_frictionloss",)),
+_TORQUE = ("actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange")
+_DRIVES = tuple(f"drives.{name}" for name in ("ids", "joints", "qposadr", "dofs", "ctrls", "kind", "low", "high"))
+
+STEPS = {
+    "dead_zone": Launch(
+        drives._widen_error,
+        tuple(f"servos.{name}" for name in ("ids", "qposadr", "ctrls", "low", "high")),
+        ("actuator_gear", "actuator_gainprm", "ctrl", "qpos"),
+        ("actuator_biasprm",),
+    ),
+    "external_force": Launch(forces._push_bodies, ("ids",), (), ("xfrc_applied",)),
+    "joint_spring": Launch(forces._pull_joints, ("dofs", "qposadr"), ("qpos",), ("qfrc_applied",)),
+    "load_friction": Launch(
+        drives._add_load_friction, ("dofs", *_DRIVES), (*_TORQUE, "ctrl", "qpos", "qvel"), ("dof_frictionloss",)
+    ),
+    "stribeck_friction": Launch(friction._add_stribeck_friction, ("dofs",), ("qvel",), ("dof_frictionloss",)),
+    "torque_speed": Launch(drives._limit_torque_by_speed, ("joints", "dofs"), ("qvel",), ("jnt_actfrcrange",)),
 }
 """Effects before every physics step."""
 
-SENSORS: dict[str, Any] = {"joint_offset": sensors._offset_positions, "sensor_scale": sensors._scale_motion}
-"""Effects on what is measured of joints; all kernels have the same arguments, see `nfpde.kernels.sensors`."""
+SENSORS = {
+    "joint_offset": Launch(sensors._offset_positions, ("qposadr", "dofs")),
+    "sensor_scale": Launch(sensors._scale_motion, ("qposadr", "dofs")),
+}
+"""Effects on what is measured of joints; all kernels have the same other arguments, see `nfpde.kernels.sensors`."""
+
+_OF_DATA = ("ctrl", "qpos", "qvel", "qfrc_applied", "xfrc_applied")
+
+Elements = dict[tuple[int, str], list[wp.array]]
+"""By effect and place, what its kernel gets of each element."""
 
 
 class WarpEffects:
@@ -97,7 +118,11 @@ class WarpEffects:
         self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
         self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
         self.on_sensor = [i for i, e in enumerate(effects) if e.name in SENSORS]
-        self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
+        self.step_fields = sorted(
+            {f for i in self.on_step for f in STEPS[effects[i].name].changes if f not in _OF_DATA}
+        )
+        reads = {f for i in self.on_step for f in STEPS[effects[i].name].reads}
+        self.read_fields = sorted(reads - {*_OF_DATA, *self.step_fields})
 
     def stage(self, xi: Array) -> tuple[Array, NDArray[np.int32]]:
         """Parameters of all effects (M, nvalue), and which effects act in each row (M, neffect)."""
@@ -106,40 +131,45 @@ class WarpEffects:
             active[:, i] = e.active(xi[:, c])
         return np.ascontiguousarray(xi[:, self.nbase :]), active
 
-    def elements(self) -> list[list[wp.array]]:
-        """Of every effect the ids of the elements its kernels act on, on Warp's current device."""
-        return [
-            [wp.array(np.asarray(getattr(e, n), np.int32), dtype=int) for n in _element_names(e)] for e in self.effects
-        ]
+    def elements(self, model: mujoco.MjModel) -> Elements:
+        """What the kernels get of each element, on Warp's current device."""
+        places = {"command": COMMANDS, "step": STEPS, "sensor": SENSORS}
+        return {
+            (i, place): [wp.array(numbers_of(e, model, n)) for n in known[e.name].elements]
+            for i, e in enumerate(self.effects)
+            for place, known in places.items()
+            if e.name in known
+        }
 
-    def change_commands(self, elements: list[list[wp.array]], staged: Staged, signal: wp.array) -> None:
+    def change_commands(self, elements: Elements, staged: Staged, signal: wp.array) -> None:
         """Let the effects change the commands of all physics steps, (nworld, S, nu)."""
         for i in self.on_command:
-            (ctrls,) = elements[i]
+            numbers = elements[i, "command"]
             wp.launch(
-                COMMANDS[self.effects[i].name],
-                dim=(signal.shape[0], ctrls.size),
-                inputs=[*staged.arrays(), ctrls, self._first(i), i, self.timestep],
+                COMMANDS[self.effects[i].name].kernel,
+                dim=(signal.shape[0], numbers[0].size),
+                inputs=[*staged.arrays(), *numbers, self._first(i), i, self.timestep],
                 outputs=[signal],
             )
 
-    def before_step(
-        self, elements: list[list[wp.array]], staged: Staged, d: mjw.Data, fields: dict[str, wp.array]
-    ) -> None:
+    def before_step(self, elements: Elements, staged: Staged, d: mjw.Data, fields: dict[str, wp.array]) -> None:
         """Let the effects act before a physics step, after fields and forces were put back."""
+
+        def array(name: str) -> wp.array:
+            return getattr(d, name) if name in _OF_DATA else fields[name]
+
         for i in self.on_step:
-            step = STEPS[self.effects[i].name]
-            reads = [getattr(d, name) for name in step.reads]
+            step, numbers = STEPS[self.effects[i].name], elements[i, "step"]
             wp.launch(
                 step.kernel,
-                dim=(d.nworld, elements[i][0].size),
-                inputs=[*reads, *staged.arrays(), *elements[i], self._first(i), i],
-                outputs=[fields[name] if name in fields else getattr(d, name) for name in step.changes],
+                dim=(d.nworld, numbers[0].size),
+                inputs=[*map(array, step.reads), *staged.arrays(), *numbers, self._first(i), i],
+                outputs=[*map(array, step.changes)],
             )
 
     def measure(
         self,
-        elements: list[list[wp.array]],
+        elements: Elements,
         staged: Staged,
         step: wp.array,
         nq: int,
@@ -149,10 +179,11 @@ class WarpEffects:
     ) -> None:
         """Turn simulated states into measured ones, or back; `states` (nworld, H, nx), of which one step is changed."""
         for i in self.on_sensor if back else reversed(self.on_sensor):
+            numbers = elements[i, "sensor"]
             wp.launch(
-                SENSORS[self.effects[i].name],
-                dim=(states.shape[0], elements[i][0].size),
-                inputs=[*staged.arrays(), *elements[i], self._first(i), step, nq, -1 if back else 1],
+                SENSORS[self.effects[i].name].kernel,
+                dim=(states.shape[0], numbers[0].size),
+                inputs=[*staged.arrays(), *numbers, self._first(i), step, nq, -1 if back else 1],
                 outputs=[states],
             )
 
@@ -161,13 +192,29 @@ class WarpEffects:
         return self.columns[effect].start - self.nbase
 
 
-def _element_names(effect: Effect) -> tuple[str, ...]:
-    """The attributes of a bound effect that hold the elements its kernel acts on."""
-    if effect.name in STEPS:
-        return STEPS[effect.name].ids
-    if effect.name in COMMANDS:
-        return ("ctrls",)
-    return ("qposadr", "dofs") if effect.name in SENSORS else ()
+def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]:
+    """What a kernel gets of each element of a bound effect.
+
+    Args:
+        effect: bound.
+        model: as the worlds share it.
+        name: an attribute with ids, of the effect (`dofs`) or of actuators it holds (`motors.ctrls`). Of actuators
+            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`.
+    """
+    head, _, tail = name.rpartition(".")
+    owner: Any = getattr(effect, head) if head else effect
+    if tail in ("low", "high"):
+        side, wide = (0, -np.inf) if tail == "low" else (1, np.inf)
+        free = model.actuator_ctrllimited[owner.ctrls] == 0
+        free |= bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL))
+        return np.where(free, wide, model.actuator_ctrlrange[owner.ctrls, side]).astype(np.float32)
+    if tail == "kind":
+        ids = owner.ids
+        affine = int(mujoco.mjtGain.mjGAIN_AFFINE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+        bits = (model.actuator_gaintype[ids] == affine[0]) + 2 * (model.actuator_biastype[ids] == affine[1])
+        bits = bits + 4 * (model.actuator_forcelimited[ids] != 0) + 8 * (model.jnt_actfrclimited[owner.joints] != 0)
+        return bits.astype(np.int32)
+    return np.asarray(getattr(owner, tail), np.int32)
 
 
 def _refuse_without_kernel(effect: Effect) -> None:

@@ -126,9 +126,13 @@ class WarpModel:
                 array = wp.zeros((n, *array.shape[1:]), dtype=array.dtype)
                 array._is_batched = True  # as MuJoCo Warp marks its own
                 setattr(owner, attribute, array)
-            size = self.columns[name].stop - self.columns[name].start
-            views[name] = wp.array(ptr=array.ptr, dtype=float, shape=(n, size), device=array.device)
+            views[name] = _floats(array, get_field(self.model, name).size)
         return m, views
+
+    def views(self, m: mjw.Model, names: list[str]) -> dict[str, wp.array]:
+        """Other fields of a model of `put`, as (rows, numbers) of floats."""
+        others = [n for n in names if n not in self.fields]
+        return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in others}
 
     def derive(self, m: mjw.Model, d: mjw.Data) -> None:
         """Compute the fields of `derived` from the others, of all rows; `d` has a world for each, and is spoiled."""
@@ -210,6 +214,11 @@ def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
             f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "
             "device='cpu'"
         ) from None
+
+
+def _floats(array: wp.array, size: int) -> wp.array:
+    """An array of `size` numbers a row as (rows, size) floats, in the same memory."""
+    return wp.array(ptr=array.ptr, dtype=float, shape=(array.shape[0], size), device=array.device)
 
 
 def _where(m: mjw.Model, name: str) -> tuple[Any, str]:
