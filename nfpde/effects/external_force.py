@@ -36,4 +36,4 @@ class ExternalForce(Effect):
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Push."""
-        world.xfrc_applied[np.ix_(rows, self.ids, range(3))] += values[:, None, :]
+        world.xfrc_applied[np.ix_(rows, self.ids, np.arange(3))] += values[:, None, :]
