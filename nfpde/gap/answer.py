@@ -34,6 +34,9 @@ CLOSED = 0.9
 """Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
 else is at work."""
 
+QUIET = 0.1
+"""Share of what counts as a gap that counts as noise where the sensors have none."""
+
 TRACES = 6
 
 
@@ -92,7 +95,8 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     """Put the report together."""
     selection, recordings, final, base = outcome.selection, outcome.recordings, outcome.final, outcome.base
     model = selection.model
-    quiet = learn_scatter(final.fit.residuals, final.fit.replay.nfree, selection.court.floor)
+    # what noise alone leaves, so that a gap that remains does not hide itself
+    quiet = learn_scatter(outcome.yardstick.noise, 0, QUIET * selection.court.floor)
     at_base = needed_forces(base.fit, recordings.held, recordings, quiet, outcome.typical)
     forces = [
         needed_forces(final.fit, w, recordings, quiet, outcome.typical) for w in (recordings.fit, recordings.held)

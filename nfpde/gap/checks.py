@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.elements import actuator_ctrls, element_names
+from nfpde.elements import actuator_ctrls, element_names, is_axis
 from nfpde.errors import BadDataset
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
@@ -18,9 +18,6 @@ from nfpde.gap.replay import Replay
 Array = NDArray[np.float64]
 
 _WINDOWS = 60
-_WORSE = 1.0
-"""A model whose error exceeds the motion itself is suspected of not being the robot's."""
-
 _CURED = 0.2
 """A change of sign or order that brings the error below this share of it was the cause."""
 
@@ -59,8 +56,6 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
         )
     _check_velocities(windows, joints)
     error = _error(replay, xi, windows)
-    if error <= _WORSE:
-        return
     flips = [
         (f"{j.name}'s sign looks flipped", _flipped(windows, j, commands=c)) for j in joints for c in (False, True)
     ]
@@ -80,7 +75,7 @@ def _joints(model: mujoco.MjModel) -> list[_Joint]:
     on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     out = []
     for i, name in enumerate(element_names(model, "joint")):
-        if model.jnt_type[i] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        if is_axis(model, i):
             drives = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == i))
             ctrls = tuple(int(c) for c in actuator_ctrls(model, drives)) if len(drives) else ()
             out.append(_Joint(name, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]), ctrls))

@@ -41,6 +41,8 @@ def leftover(
 ) -> Leftover:
     """Fit a smooth force of position, speed, command and time to one half, and apply it to the other.
 
+    It acts on the joint that lacks most.
+
     Args:
         recordings: Their windows.
         fit: Forces that the final model lacks in the fit's windows.
@@ -52,15 +54,17 @@ def leftover(
     white = noise.whiten(residuals)
     before = (white**2).sum((1, 2))
     best: Leftover | None = None
-    for dof in range(model.nv):
-        knots = _knots(_inputs(model, recordings.fit, dof))
-        a = _features(_inputs(model, recordings.fit, dof), knots)
-        b = _features(_inputs(model, recordings.held, dof), knots)
+    most = held.energy.sum(0)
+    joint = int(model.dof_jntid[int(most.argmax())])
+    for dof in np.flatnonzero(model.dof_jntid == joint):
+        knots = _knots(_inputs(model, recordings.fit, int(dof)))
+        a = _features(_inputs(model, recordings.fit, int(dof)), knots)
+        b = _features(_inputs(model, recordings.held, int(dof)), knots)
         force = b @ _ridge(a, fit.value[:, dof], fit.error[:, dof])
         after = (noise.whiten(residuals + force[:, None, None] * held.response[dof]) ** 2).sum((1, 2))
         _, _, p = block_test(before - after, recordings.block)
         beyond = max(float(before.mean()) - residuals[0].size, 1e-300)
-        found = Leftover(dof, float((before - after).mean() / beyond), p * model.nv, held)
+        found = Leftover(int(dof), float((before - after).mean() / beyond), p * model.nv, held)
         if best is None or found.share > best.share:
             best = found
     if best is None:

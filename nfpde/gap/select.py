@@ -125,7 +125,7 @@ class Selection:
         if best is None:
             return None
         gain, _, p = self.court.gain(best, current)
-        if p > LEVEL / len(self.candidates):
+        if gain <= 0 or p > LEVEL / len(trials):
             return None
         block = self.court.recordings.block
         equal = []

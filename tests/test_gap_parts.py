@@ -1,0 +1,205 @@
+"""The parts of the diagnosis, each against mathematics or another implementation."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+from scipy.stats import multivariate_t, ttest_1samp, wilcoxon
+
+from nfpde.dataset import Dataset
+from nfpde.effects import effect
+from nfpde.errors import BadDataset
+from nfpde.gap.fit import PRIOR, Fit, Fitter
+from nfpde.gap.levels import Yardstick, noise_residuals, sensor_noise, shrink_interval
+from nfpde.gap.noise import Scatter, floor_of, learn_scatter
+from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.replay import Replay
+from nfpde.gap.screen import screen
+from nfpde.gap.trial import block_test
+from nfpde.gap.where import needed_forces
+from nfpde.parameters import Parameter, ParameterSpace
+from tests.gap_systems import nominal, record
+
+
+class Line:
+    """A replay whose residuals are linear in its parameters: A xi - b, for two degrees of freedom of four channels."""
+
+    def __init__(self, matrix, target, low, high):
+        self.matrix, self.target, self.low, self.high = matrix, target, np.array(low), np.array(high)
+        self.nfree = len(low)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return (np.atleast_2d(xi) @ self.matrix.T - self.target).reshape(len(xi), -1, 2, 4)
+
+
+def unit_scatter(windows, nv=2, channels=4):
+    rng = np.random.default_rng(0)
+    return learn_scatter(rng.normal(size=(windows, nv, channels)), 0, np.full((nv, channels), 1e-3))
+
+
+def test_least_squares_in_a_box_against_scipy():
+    """A linear problem ends where SciPy's bounded least squares ends, bounds that bind included."""
+    rng = np.random.default_rng(1)
+    a, truth = rng.normal(size=(60 * 8, 3)), np.array([0.7, 0.2, 1.4])  # the last lies beyond its bound
+    b = a @ truth + 0.1 * rng.normal(size=len(a))
+    line = Line(a, b, [0, 0, 0], [1, 1, 1])
+    scatter = unit_scatter(4000)
+    white = np.linalg.norm(scatter.whiten(np.eye(8).reshape(8, 2, 4)), axis=(1, 2))
+    assert white == pytest.approx(1.0, abs=0.1)  # the scatter is that of unit noise, so SciPy needs no weights
+    fitter = Fitter(None, (1, 2))
+    fit = fitter.improve(fitter.start(line, np.array([[0.5, 0.5, 0.5]]), scatter), 20)
+    rows = np.vstack([a, np.eye(3) / PRIOR])
+    expected = lsq_linear(rows, np.concatenate([b, np.full(3, 0.5) / PRIOR]), bounds=(0, 1)).x
+    assert fit.xi == pytest.approx(expected, abs=5e-3)  # 4000 draws give the scatter to about 2 %
+
+
+def test_standard_errors_cover():
+    """Estimates scatter by their standard errors: mean squared ratio 1 within 4 sigma of its chi-squared."""
+    rng = np.random.default_rng(2)
+    a = rng.normal(size=(50 * 8, 2))
+    scatter = unit_scatter(4000)
+    fitter = Fitter(None, (1, 2))
+    ratios = []
+    for _ in range(60):
+        line = Line(a, a @ [0.5, 0.5] + rng.normal(size=len(a)), [-4, -4], [5, 5])
+        fit = fitter.improve(fitter.start(line, np.array([[0.4, 0.6]]), scatter), 10)
+        ratios.append((fit.xi - 0.5) / fitter.linearise(fit).standard_errors)
+    # 120 ratios, the sandwich's own error of 50 windows (10 %) included
+    assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 120) + 0.2)
+
+
+def test_density_is_that_of_a_multivariate_t():
+    """The log density of windows equals SciPy's, summed over degrees of freedom."""
+    rng = np.random.default_rng(3)
+    tails = rng.standard_t(4, size=(400, 2, 3))
+    scatter = learn_scatter(tails, 0, np.full((2, 3), 1e-4))
+    r = rng.normal(size=(7, 2, 3))
+    expected = np.zeros(7)
+    for d, noise in enumerate(scatter.noises):
+        shape = np.linalg.inv(noise.whitener @ noise.whitener.T)
+        df = noise.degrees if noise.degrees < 1e6 else np.inf
+        expected += multivariate_t(np.zeros(3), shape, df=df).logpdf(r[:, d])
+    assert scatter.log_density(r) == pytest.approx(expected, rel=1e-9)
+
+
+def test_block_test_is_the_better_of_two_tests():
+    """With one window a block: twice the smaller p-value of SciPy's t test and signed-rank test."""
+    rng = np.random.default_rng(4)
+    gain = 0.1 + rng.normal(size=500)
+    mean, error, p = block_test(gain, np.arange(500))
+    assert mean == pytest.approx(gain.mean())
+    assert error == pytest.approx(gain.std(ddof=1) / np.sqrt(500))
+    both = [ttest_1samp(gain, 0, alternative="greater").pvalue, wilcoxon(gain, alternative="greater").pvalue]
+    assert p == pytest.approx(2 * min(both))
+
+
+def test_false_alarms_of_the_block_test_are_rare():
+    """Gains of mean zero pass at level 5 % in at most 5 % of cases."""
+    rng = np.random.default_rng(5)
+    alarms = [block_test(rng.normal(size=60), np.repeat(np.arange(12), 5))[2] < 0.05 for _ in range(1000)]
+    assert 0.01 < np.mean(alarms) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 1000)
+
+
+def test_shrink_interval():
+    """A gap that halves in every window shrinks by one half, surely."""
+    before = np.random.default_rng(6).uniform(1, 2, 50)
+    assert shrink_interval(before, before / 2, np.arange(50) // 5, 0) == pytest.approx((0.5, 0.5, 0.5))
+
+
+def test_sensor_noise_is_found():
+    """Noise put on positions and velocities comes back, to the precision of a median over the rows."""
+    data = record(noise=1e-3)
+    replay = Replay(nominal(), None, [])
+    rows = data.windows(1)
+    sigma = sensor_noise(replay, np.zeros(0), rows)
+    assert sigma == pytest.approx(1e-3 * np.array([0.5, 0.8, 3.0, 8.0]), rel=0.1)
+
+
+def test_noise_residuals_match_what_noise_does():
+    """The spread predicted from the noise is the spread that a perfect model shows on noisy recordings."""
+    data = record(noise=1e-3)
+    replay = Replay(nominal(), None, [])
+    cut = cut_recordings(data, 0, 0, 160)
+    sigma = 1e-3 * np.array([0.5, 0.8, 3.0, 8.0])
+    predicted = noise_residuals(replay, np.zeros(0), cut.held, cut, sigma, 0)
+    actual = replay.residuals(np.zeros((1, 0)), cut.held, cut.horizons)[0]
+    ratio = (actual**2).mean(0) / (predicted**2).mean(0)
+    assert ratio == pytest.approx(1.0, abs=6 * np.sqrt(2 / len(cut.held)) * np.sqrt(2))  # two sample variances
+
+
+def test_halves_share_no_episode_and_one_episode_is_cut_in_time():
+    """Held-out windows come from episodes, or from a time, that no fit sees."""
+    data = record(episodes=5, rows=200)
+    cut = cut_recordings(data, 3, 0, 160)
+    assert not set(cut.fit.episode) & set(cut.held.episode)
+    assert {data.names[i] for i in cut.held.episode} == set(cut.held_out)
+    assert cut.fit.nhistory == 3
+    single = cut_recordings(Dataset(data.episodes[:1]), 0, 0, 160)
+    assert single.fit.row.max() + single.fit.horizon <= single.held.row.min()
+
+
+def test_too_little_data_is_refused():
+    """A handful of rows cannot carry a diagnosis, and the text says how many would."""
+    with pytest.raises(BadDataset, match="too short for a diagnosis"):
+        cut_recordings(record(episodes=2, rows=20), 0, 0, 160)
+
+
+def test_screening_is_a_projection_on_what_parameters_cannot_do():
+    """The explained share equals least squares with the change and the slopes together, less the slopes alone."""
+    space = ParameterSpace([Parameter("body_mass", "fore", low=0.5, high=2.0)])
+    data = record(lambda m: m.dof_frictionloss.__setitem__(1, 0.05), noise=1e-3)
+    cut = cut_recordings(data, 0, 0, 160)
+    fitter = Fitter(cut.fit, cut.horizons)
+    start = Replay(nominal(), space, [])
+    first = start.residuals(np.array([[1.0]]), cut.fit, cut.horizons)[0]
+    scatter = learn_scatter(first, 1, floor_of(first, first))
+    base = fitter.linearise(fitter.start(start, np.array([[1.0]]), scatter))
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    values = np.array([[0.04]])
+    found = screen(fitter, base, [(friction, values)], lambda e: Replay(nominal(), space, [e]))[0]
+    white = scatter.whiten(base.residuals)
+    root = np.sqrt(scatter.weights(white))[..., None]
+    change = found.replay.residuals(np.array([[1.0, 0.04]]), cut.fit, cut.horizons)[0]
+    columns = np.stack(
+        [(scatter.whiten(base.slopes[0]) * root).ravel(), ((scatter.whiten(change) - white) * root).ravel()]
+    )
+    y = (white * root).ravel()
+
+    def left(rows):
+        return np.linalg.lstsq(rows.T, y, rcond=None)[1][0]
+
+    scale = np.linalg.lstsq(columns.T, -y, rcond=None)[0][1]
+    assert 0 < scale < 1.5  # inside what screening allows, so that both solve one problem
+    assert found.explained == pytest.approx(0.5 * (left(columns[:1]) - left(columns)), rel=1e-6)
+
+
+def test_the_needed_force_is_the_one_that_was_applied():
+    """A constant torque that the model lacks is found in every window, on its joint."""
+    data = record(force=lambda _: 0.2)
+    cut = cut_recordings(data, 0, 0, 160)
+    fitter = Fitter(cut.fit, cut.horizons)
+    replay = Replay(nominal(), None, [])
+    start = replay.residuals(np.zeros((1, 0)), cut.fit, cut.horizons)[0]
+    scatter = learn_scatter(1e-4 * np.random.default_rng(0).normal(size=start.shape), 0, np.full(start.shape[1:], 1e-6))
+    fit: Fit = fitter.start(replay, np.zeros((1, 0)), scatter)
+    forces = needed_forces(fit, cut.fit, cut, scatter, np.array([1.0, 1.0]))
+    assert forces.value[:, 1] == pytest.approx(0.2, rel=0.02)  # the response is linear over a quarter second to 1-2 %
+    assert np.abs(forces.value[:, 0]).max() < 0.02
+
+
+def test_yardstick_counts_in_units_of_noise():
+    """Residuals that are noise and nothing else have the gap of the noise."""
+    rng = np.random.default_rng(7)
+    noise, other = rng.normal(size=(2, 2000, 2, 4))
+    stick = Yardstick.of(noise, noise)
+    assert stick.gap(other).mean() == pytest.approx(stick.squares(noise).mean(), rel=0.05)
+
+
+def test_a_diverged_window_is_bad_but_finite():
+    """NaN residuals cost more than any sound window, and stay finite."""
+    scatter: Scatter = unit_scatter(500)
+    sound = np.zeros((3, 2, 4))
+    lost = sound.copy()
+    lost[1] = np.nan
+    density = scatter.log_density(lost)
+    assert np.isfinite(density).all()
+    assert density[1] < density[0] - 1
