@@ -41,8 +41,6 @@ def command(
     same command goes on where an interrupted one stopped.
     """
     simulator = make_simulator(model, params, device)
-    if not quiet:
-        typer.echo(f"simulations run on {runs_on(simulator)}", err=True)
     dataset = read_dataset(data, resample)
     config = build(CONFIGS[method], settings, context, f"the method {method}")
     result = fit(
@@ -58,3 +56,4 @@ def command(
     typer.echo(f"{out / 'fit.json'}: settings, counts and the course of the fit")
     for path, text in pictures.items():
         typer.echo(f"{path}: {text}")
+    typer.echo(f"simulated on {runs_on(simulator)}")
