@@ -16,6 +16,7 @@ CASES = {
     "actuation_delay": ("*", {"delay": (0.0, 0.03)}),
     "actuator_bias": ("elbow_motor", {"offset": (-1.0, 1.0)}),
     "actuator_lag": ("*", {"time_constant": (0.0, 0.02)}),
+    "backlash": ("*", {"width": (0.0, 0.1)}),
     "dead_zone": ("*", {"half_width": (0.0, 0.5)}),
     "external_force": ("lower", {"force_x": (-5, 5), "force_y": (-5, 5), "force_z": (-5, 5)}),
     "joint_offset": ("shoulder", {"offset": (-0.5, 0.5)}),
@@ -61,7 +62,9 @@ SERVOS = DOUBLE_PENDULUM.replace(
 )
 
 
-@pytest.mark.parametrize("name", ["dead_zone", "joint_offset", "load_friction", "sensor_scale", "torque_speed"])
+@pytest.mark.parametrize(
+    "name", ["backlash", "dead_zone", "joint_offset", "load_friction", "sensor_scale", "torque_speed"]
+)
 def test_kernel_equals_its_twin_with_servos(name):
     """Position and velocity servos with gears and limits, where the effects act in other ways than with motors."""
     bounds = CASES[name][1]

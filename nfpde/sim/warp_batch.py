@@ -101,6 +101,7 @@ class WarpBatch:
             self._overflow = wp.zeros(1, dtype=int)
             self._static_geoms = wp.array(model.static_geoms, dtype=int)
             self._elements = effects.elements(model.model)
+            self._memories = effects.memories(self._elements, z.nworld)
             # pairs of their own have a row per world, which the host writes; see WarpModel.stage
             self.derives = bool(model.derived) and z.all_pairs
             self._constants = mjw.make_data(model.model, nworld=z.nrow, nconmax=8, njmax=32) if self.derives else None
@@ -186,7 +187,16 @@ class WarpBatch:
     def nbytes(self) -> int:
         """Bytes of all its arrays; the solver's passing buffers come on top."""
         own = [v for v in vars(self).values() if isinstance(v, wp.array)]
-        return sum(a.capacity for a in [*own, *arrays_of(self.d), *arrays_of(self._staged), *self._fields.values()])
+        return sum(
+            a.capacity
+            for a in [
+                *own,
+                *arrays_of(self.d),
+                *arrays_of(self._staged),
+                *self._fields.values(),
+                *self._memories.values(),
+            ]
+        )
 
     def _begin(self) -> None:
         z, nq, nv = self.sizes, self._space.nq, self._space.nv
@@ -208,6 +218,7 @@ class WarpBatch:
                 *(self._alive, self._loss, self._step),
             ],
         )
+        self._effects.forget(self._memories)
         if self._effects.on_sensor:
             self._store()
             self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted, back=True)
@@ -266,7 +277,7 @@ class WarpBatch:
                 self._gather(name, self._model.columns[name], self._staged.world_row)
             d.qfrc_applied.zero_()
             d.xfrc_applied.zero_()
-            self._effects.before_step(self._elements, self._staged, d, self._seen)
+            self._effects.before_step(self._elements, self._memories, self._staged, d, self._seen)
         mjw.step(self.m, d)
         wp.launch(
             states._flag_divergence,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
-from nfpde.kernels import commands, drives, forces, friction, sensors
+from nfpde.kernels import backlash, commands, drives, forces, friction, sensors
 from nfpde.sim.acting import effect_columns
 
 Array = NDArray[np.float64]
@@ -46,12 +46,15 @@ class Launch:
     reads: what a kernel before a physics step reads: fields of the model, as (rows, numbers) of floats, then arrays of
         mjw.Data
     changes: what it changes: fields of the model, as (nworld, numbers) of floats, or arrays of mjw.Data
+    memory: numbers it keeps of each element from step to step, as its first output (nworld, elements, numbers); NaN at
+        the start of a window
     """
 
     kernel: Any
     elements: tuple[str, ...]
     reads: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
+    memory: int = 0
 
 
 COMMANDS = {
@@ -67,6 +70,13 @@ _TORQUE = ("actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_fo
 _DRIVES = tuple(f"drives.{name}" for name in ("ids", "joints", "qposadr", "dofs", "ctrls", "kind", "low", "high"))
 
 STEPS = {
+    "backlash": Launch(
+        backlash._play_rotors,
+        (*_DRIVES, "spare", "timestep"),
+        ("actuator_gear", "actuator_forcerange", "jnt_actfrcrange", "ctrl", "qpos", "qvel"),
+        ("actuator_gainprm", "actuator_biasprm", "dof_armature", "qfrc_applied"),
+        memory=4,
+    ),
     "dead_zone": Launch(
         drives._widen_error,
         tuple(f"servos.{name}" for name in ("ids", "qposadr", "ctrls", "low", "high")),
@@ -152,7 +162,24 @@ class WarpEffects:
                 outputs=[signal],
             )
 
-    def before_step(self, elements: Elements, staged: Staged, d: mjw.Data, fields: dict[str, wp.array]) -> None:
+    def memories(self, elements: Elements, nworld: int) -> dict[int, wp.array]:
+        """By effect, what its kernel keeps from step to step, on Warp's current device."""
+        sizes = {i: STEPS[self.effects[i].name].memory for i in self.on_step}
+        return {i: wp.zeros((nworld, elements[i, "step"][0].size, n), dtype=float) for i, n in sizes.items() if n}
+
+    def forget(self, memories: dict[int, wp.array]) -> None:
+        """Make what kernels keep unknown, at the start of windows."""
+        for memory in memories.values():
+            wp.launch(backlash._forget, dim=memory.shape, inputs=[], outputs=[memory])
+
+    def before_step(
+        self,
+        elements: Elements,
+        memories: dict[int, wp.array],
+        staged: Staged,
+        d: mjw.Data,
+        fields: dict[str, wp.array],
+    ) -> None:
         """Let the effects act before a physics step, after fields and forces were put back."""
 
         def array(name: str) -> wp.array:
@@ -164,7 +191,7 @@ class WarpEffects:
                 step.kernel,
                 dim=(d.nworld, numbers[0].size),
                 inputs=[*map(array, step.reads), *staged.arrays(), *numbers, self._first(i), i],
-                outputs=[*map(array, step.changes)],
+                outputs=[*([memories[i]] if i in memories else []), *map(array, step.changes)],
             )
 
     def measure(
@@ -199,7 +226,8 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         effect: bound.
         model: as the worlds share it.
         name: an attribute with ids, of the effect (`dofs`) or of actuators it holds (`motors.ctrls`). Of actuators
-            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`.
+            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`;
+            `timestep` is that of the physics, the same for all.
     """
     head, _, tail = name.rpartition(".")
     owner: Any = getattr(effect, head) if head else effect
@@ -214,7 +242,10 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         bits = (model.actuator_gaintype[ids] == affine[0]) + 2 * (model.actuator_biastype[ids] == affine[1])
         bits = bits + 4 * (model.actuator_forcelimited[ids] != 0) + 8 * (model.jnt_actfrclimited[owner.joints] != 0)
         return bits.astype(np.int32)
-    return np.asarray(getattr(owner, tail), np.int32)
+    if tail == "timestep":
+        return np.full(len(effect.ids), model.opt.timestep, np.float32)
+    numbers = np.asarray(getattr(owner, tail))
+    return numbers.astype(np.float32 if numbers.dtype.kind == "f" else np.int32)
 
 
 def _refuse_without_kernel(effect: Effect) -> None:
