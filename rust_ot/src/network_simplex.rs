@@ -1,5 +1,6 @@
 //! Network simplex over a full table of costs: the tree does the moves, whole blocks of rows are priced at once.
 
+use crate::candidates::Candidates;
 use crate::error::OtError;
 use crate::simd::{LeastSum, run};
 use crate::tree::Tree;
@@ -81,63 +82,53 @@ pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) 
     let rows = table.costs.len() / table.cols;
     let mut tolerance = Tolerance::new(big, tree.pi.len());
     watch.ask()?;
-    let block = ((1.5 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows);
+    let cols = table.cols;
+    let block = rows.div_ceil(BLOCKS).max(1);
+    let mut candidates = Candidates::default();
     let mut row = 0;
     loop {
-        let mut clean = 0;
-        let mut pivots = 0u64;
+        let (mut clean, mut pivots) = (0, 0u64);
         while clean < rows {
             let end = (row + block).min(rows);
-            match price_rows(table, row..end, &tree, tolerance) {
-                Some((i, j, cost)) => {
-                    watch.step()?;
-                    tree.pivot(i, j, cost);
-                    tolerance.count_pivot(&tree);
-                    clean = 0;
-                    pivots += 1;
+            for i in row..end {
+                if let Some((reduced, j)) = price_row(table, i, &tree, tolerance) {
+                    candidates.add(reduced, i * cols + j);
                 }
-                None => clean += end - row,
             }
+            let enter = |arc: usize, tree: &mut Tree, tolerance: &Tolerance| {
+                tree.pivot(arc / cols, arc % cols, table.costs[arc], tolerance)
+            };
+            let entered = candidates.enter(&mut tree, &mut tolerance, watch, enter)?;
+            pivots += entered;
+            clean = if entered > 0 { 0 } else { clean + end - row };
             row = if end == rows { 0 } else { end };
         }
         if pivots == 0 {
             return Ok(tree);
         }
-        tree.refresh_potentials();
+        tree.recentre();
         tolerance.adapt(&tree);
     }
 }
 
-/// The most negative arc of the rows, if it is negative beyond rounding.
-fn price_rows(
-    table: Table<'_>,
-    rows: std::ops::Range<usize>,
-    tree: &Tree,
-    tolerance: Tolerance,
-) -> Option<(usize, usize, f64)> {
-    let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());
-    let mut best = (0.0, usize::MAX, usize::MAX);
-    for i in rows.clone() {
-        let (low, j) = run(LeastSum(&table.costs[i * table.cols..(i + 1) * table.cols], minus_v));
-        if low - u[i] < best.0 {
-            best = (low - u[i], i, j);
-        }
-    }
-    let (reduced, i, j) = best;
-    if i == usize::MAX || !tolerance.may_be_negative(reduced) {
+/// Blocks that the table is priced in.
+const BLOCKS: usize = 4;
+
+/// The most negative arc of a row, if it is negative beyond rounding.
+fn price_row(table: Table<'_>, row: usize, tree: &Tree, tolerance: Tolerance) -> Option<(f64, usize)> {
+    let (u, minus_v) = (tree.row_potentials()[row], tree.col_potentials_negated());
+    let costs = &table.costs[row * table.cols..(row + 1) * table.cols];
+    let (low, j) = run(LeastSum(costs, minus_v));
+    if !tolerance.may_be_negative(low - u) {
         return None;
     }
-    let cost = table.costs[i * table.cols + j];
-    if tolerance.is_negative(reduced, cost, u[i], minus_v[j]) {
-        return Some((i, j, cost));
+    if tolerance.is_negative(low - u, costs[j], u, minus_v[j]) {
+        return Some((low - u, j));
     }
     // The lowest arc is rounding: look for another that is not.
-    for i in rows {
-        for (j, &cost) in table.costs[i * table.cols..(i + 1) * table.cols].iter().enumerate() {
-            if tolerance.is_negative(cost - u[i] + minus_v[j], cost, u[i], minus_v[j]) {
-                return Some((i, j, cost));
-            }
-        }
-    }
-    None
+    let others = costs.iter().zip(minus_v).enumerate();
+    others
+        .map(|(j, (&c, &v))| (c - u + v, j, c, v))
+        .find(|&(r, _, c, v)| tolerance.is_negative(r, c, u, v))
+        .map(|x| (x.0, x.1))
 }
