@@ -93,7 +93,7 @@ pub fn solve(arcs: &ArcList, tree: &mut Tree, tolerance: &mut Tolerance, watch: 
             return Ok(());
         }
         tree.recentre();
-        tolerance.adapt(tree);
+        tolerance.adapt(&tree.pi);
     }
 }
 

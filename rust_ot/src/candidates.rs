@@ -43,7 +43,7 @@ impl Candidates {
         for &(_, arc) in &self.0 {
             if pivot(arc, tree, tolerance) {
                 watch.step()?;
-                tolerance.count_pivot(tree);
+                tolerance.count_pivot(&tree.pi);
                 (entered, failed) = (entered + 1, 0);
             } else {
                 failed += 1;

@@ -11,11 +11,12 @@ use crate::simd::{LeastSum, run};
 use crate::sparse_assignment;
 use crate::sparse_transport;
 use crate::stored::Stored;
+use crate::threaded_tree::ThreadedTree;
 use crate::tree::Tree;
 use crate::watch::Watch;
 
 /// Pairs up to which the full table is solved at once, and those up to which it is kept.
-pub const DENSE_PAIRS: usize = 40_000;
+pub const DENSE_PAIRS: usize = 700_000;
 pub const STORED_PAIRS: usize = 1_100_000;
 /// How many times more points the other side must have to count as many.
 const MANY_TO_FEW: usize = 4;
@@ -139,9 +140,10 @@ fn table(cost: &dyn Cost) -> Vec<f64> {
 /// Fills the whole table and solves it.
 fn solve_table(cost: &dyn Cost, rows: &[i64], cols: &[i64], watch: &mut Watch<'_>) -> Result<Optimum, OtError> {
     let (costs, m) = (table(cost), cols.len());
-    let star = Tree::star(rows, cols, sparse_transport::artificial_cost(cost));
+    let star = ThreadedTree::star(rows, cols, sparse_transport::artificial_cost(cost));
     let tree = network_simplex::solve(Table { costs: &costs, cols: m }, star, cost.bound(), watch)?;
-    let mut best = Optimum::of_tree(&tree);
+    let v = tree.col_potentials_negated().iter().map(|v| -v).collect();
+    let mut best = Optimum { arcs: tree.arcs().collect(), u: Vec::new(), v };
     best.tighten(&costs);
     Ok(best)
 }

@@ -25,6 +25,7 @@ pub mod solution;
 pub mod sparse_assignment;
 pub mod sparse_transport;
 pub mod stored;
+pub mod threaded_tree;
 pub mod transport;
 pub mod tree;
 pub mod watch;

@@ -1,9 +1,8 @@
 //! Network simplex over a full table of costs: the tree does the moves, whole blocks of rows are priced at once.
 
-use crate::candidates::Candidates;
 use crate::error::OtError;
 use crate::simd::{LeastSum, run};
-use crate::tree::Tree;
+use crate::threaded_tree::ThreadedTree;
 use crate::watch::Watch;
 
 /// How negative a reduced cost must be to count: more than rounding can make it.
@@ -28,19 +27,19 @@ impl Tolerance {
 
     const SHARE: f64 = 7.2e-15;
 
-    /// Takes over the size of the potentials after they were computed again.
-    pub fn adapt(&mut self, tree: &Tree) {
-        self.floor = Self::SHARE * self.growth * typical_size(tree.pi[..tree.pi.len() - 1].iter());
+    /// Takes over the size of the potentials, the last of which is the root's, after they were computed again.
+    pub fn adapt(&mut self, pi: &[f64]) {
+        self.floor = Self::SHARE * self.growth * typical_size(pi[..pi.len() - 1].iter());
     }
 
     /// Counts a pivot. A search that goes on for very long is turning in rounding errors: it gets more tolerance, and
     /// the certificate decides whether the outcome is good enough.
-    pub fn count_pivot(&mut self, tree: &Tree) {
+    pub fn count_pivot(&mut self, pi: &[f64]) {
         self.pivots_left -= 1;
         if self.pivots_left == 0 {
-            self.pivots_left = 20 * tree.pi.len() as u64 + 1_000;
+            self.pivots_left = 20 * pi.len() as u64 + 1_000;
             self.growth *= 4.0;
-            self.adapt(tree);
+            self.adapt(pi);
         }
     }
 
@@ -78,57 +77,72 @@ pub struct Table<'a> {
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
-pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) -> Result<Tree, OtError> {
+pub fn solve(
+    table: Table<'_>,
+    mut tree: ThreadedTree,
+    big: f64,
+    watch: &mut Watch<'_>,
+) -> Result<ThreadedTree, OtError> {
     let rows = table.costs.len() / table.cols;
     let mut tolerance = Tolerance::new(big, tree.pi.len());
     watch.ask()?;
-    let cols = table.cols;
-    let block = rows.div_ceil(BLOCKS).max(1);
-    let mut candidates = Candidates::default();
+    let block = ((1.5 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows);
     let mut row = 0;
     loop {
-        let (mut clean, mut pivots) = (0, 0u64);
+        let mut clean = 0;
+        let mut pivots = 0u64;
         while clean < rows {
             let end = (row + block).min(rows);
-            for i in row..end {
-                if let Some((reduced, j)) = price_row(table, i, &tree, tolerance) {
-                    candidates.add(reduced, i * cols + j);
+            match price_rows(table, row..end, &tree, tolerance) {
+                Some((i, j, cost)) => {
+                    watch.step()?;
+                    tree.pivot(i, j, cost);
+                    tolerance.count_pivot(&tree.pi);
+                    clean = 0;
+                    pivots += 1;
                 }
+                None => clean += end - row,
             }
-            let enter = |arc: usize, tree: &mut Tree, tolerance: &Tolerance| {
-                tree.pivot(arc / cols, arc % cols, table.costs[arc], tolerance)
-            };
-            let entered = candidates.enter(&mut tree, &mut tolerance, watch, enter)?;
-            pivots += entered;
-            clean = if entered > 0 { 0 } else { clean + end - row };
             row = if end == rows { 0 } else { end };
         }
         if pivots == 0 {
             return Ok(tree);
         }
-        tree.recentre();
-        tolerance.adapt(&tree);
+        tree.refresh_potentials();
+        tolerance.adapt(&tree.pi);
     }
 }
 
-/// Blocks that the table is priced in.
-const BLOCKS: usize = 4;
-
-/// The most negative arc of a row, if it is negative beyond rounding.
-fn price_row(table: Table<'_>, row: usize, tree: &Tree, tolerance: Tolerance) -> Option<(f64, usize)> {
-    let (u, minus_v) = (tree.row_potentials()[row], tree.col_potentials_negated());
-    let costs = &table.costs[row * table.cols..(row + 1) * table.cols];
-    let (low, j) = run(LeastSum(costs, minus_v));
-    if !tolerance.may_be_negative(low - u) {
+/// The most negative arc of the rows, if it is negative beyond rounding.
+fn price_rows(
+    table: Table<'_>,
+    rows: std::ops::Range<usize>,
+    tree: &ThreadedTree,
+    tolerance: Tolerance,
+) -> Option<(usize, usize, f64)> {
+    let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());
+    let mut best = (0.0, usize::MAX, usize::MAX);
+    for i in rows.clone() {
+        let (low, j) = run(LeastSum(&table.costs[i * table.cols..(i + 1) * table.cols], minus_v));
+        if low - u[i] < best.0 {
+            best = (low - u[i], i, j);
+        }
+    }
+    let (reduced, i, j) = best;
+    if i == usize::MAX || !tolerance.may_be_negative(reduced) {
         return None;
     }
-    if tolerance.is_negative(low - u, costs[j], u, minus_v[j]) {
-        return Some((low - u, j));
+    let cost = table.costs[i * table.cols + j];
+    if tolerance.is_negative(reduced, cost, u[i], minus_v[j]) {
+        return Some((i, j, cost));
     }
     // The lowest arc is rounding: look for another that is not.
-    let others = costs.iter().zip(minus_v).enumerate();
-    others
-        .map(|(j, (&c, &v))| (c - u + v, j, c, v))
-        .find(|&(r, _, c, v)| tolerance.is_negative(r, c, u, v))
-        .map(|x| (x.0, x.1))
+    for i in rows {
+        for (j, &cost) in table.costs[i * table.cols..(i + 1) * table.cols].iter().enumerate() {
+            if tolerance.is_negative(cost - u[i] + minus_v[j], cost, u[i], minus_v[j]) {
+                return Some((i, j, cost));
+            }
+        }
+    }
+    None
 }

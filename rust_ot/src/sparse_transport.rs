@@ -19,6 +19,8 @@ const SHORTLIST: usize = 24;
 const ADDED: usize = 12;
 /// First penalty of the artificial arcs, as a share of the reach of the short lists, and its growth.
 const FIRST_PENALTY: f64 = 0.25;
+/// The first penalty is no less than this share of the last, also where all short lists are ties.
+const LEAST_PENALTY: f64 = 1e-4;
 const PENALTY_GROWTH: f64 = 4.0;
 
 /// Solves the problem for positive masses of equal totals, from good negated potentials of the columns.
@@ -44,7 +46,7 @@ pub fn solve(
         }
     }
     let (reach, most) = (pass.typical_reach(), artificial_cost(cost));
-    let mut penalty = (FIRST_PENALTY * reach).min(most);
+    let mut penalty = (FIRST_PENALTY * reach).max(LEAST_PENALTY * most).min(most);
     let mut tree = greedy_start(rows, cols, &pass, minus_v, penalty);
     drop(pass);
     let mut tolerance = Tolerance::new(cost.bound(), n + cols.len());
