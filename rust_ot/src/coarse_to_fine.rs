@@ -21,7 +21,7 @@ pub const STORED_PAIRS: usize = 1_100_000;
 /// How many times more points the other side must have to count as many.
 const MANY_TO_FEW: usize = 4;
 /// The coarse problem of few points against many takes one in so many.
-const FEW_SHARE: usize = 16;
+const FEW_SHARE: usize = 8;
 /// Length of the long side up to which few points against many start without potentials.
 const COLD_LONG_SIDE: usize = 64;
 /// A side with so few points is never halved.
@@ -167,7 +167,11 @@ fn solve_few(
         if upright { coarse.v } else { coarse.u }
     };
     let (long_masses, short_masses) = if upright { (rows, cols) } else { (cols, rows) };
-    let found = few_columns::solve(Table { costs: &costs, cols: short }, long_masses, short_masses, start, watch)?;
+    let Some(found) =
+        few_columns::solve(Table { costs: &costs, cols: short }, long_masses, short_masses, start, watch)?
+    else {
+        return solve_table(cost, rows, cols, watch);
+    };
     let slack = |costs: &[f64]| costs.iter().zip(&found.v).fold(f64::INFINITY, |low, (c, v)| low.min(c - v));
     let long_potentials: Vec<f64> = costs.chunks_exact(short).map(slack).collect();
     let loaded = found.flow.iter().enumerate().filter(|&(_, &flow)| flow > 0);

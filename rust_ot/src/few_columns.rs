@@ -53,7 +53,11 @@ pub struct Optimum {
     pub v: Vec<f64>,
 }
 
-/// Solves a table with few columns, from potentials `v` of the columns.
+/// Paths for each row and column before giving up; less than one is usual.
+const PATHS_A_NODE: usize = 8;
+
+/// Solves a table with few columns, from potentials `v` of the columns; `None` when mass goes in small steps only, as it
+/// may where many ways cost the same.
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
@@ -63,7 +67,7 @@ pub fn solve(
     cols: &[i64],
     v: Vec<f64>,
     watch: &mut Watch<'_>,
-) -> Result<Optimum, OtError> {
+) -> Result<Option<Optimum>, OtError> {
     watch.ask()?;
     let m = table.cols;
     let mut flow = vec![0; table.costs.len()];
@@ -88,11 +92,16 @@ pub fn solve(
     let mut search = Search { table, flow, excess, v, movers, steps: vec![NO_STEP; m * m] };
     (0..m * m).for_each(|pair| search.find_step(pair));
     let mut paths = Paths::new(m);
+    let mut paths_left = PATHS_A_NODE * (rows.len() + m);
     while search.improve(&mut paths) {
         watch.step()?;
+        paths_left -= 1;
+        if paths_left == 0 {
+            return Ok(None);
+        }
     }
     remove_cycles(&mut search.flow, m);
-    Ok(Optimum { flow: search.flow, v: search.v })
+    Ok(Some(Optimum { flow: search.flow, v: search.v }))
 }
 
 /// Bits that sort as the numbers do.
