@@ -1,6 +1,8 @@
 """The benchmark tables: small runs of the real thing, and what their text claims."""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +29,25 @@ def test_transport_table_names_peers_versions_and_losses(tmp_path, monkeypatch):
     slower = sum(min(r["seconds"].values()) < r["seconds"]["nfpde"] for r in record["rows"])
     assert f"Slower than a peer in {slower} of 2 cases" in table
     assert "nfpde bench ot --quick" in table
+
+
+def test_peers_of_another_environment(tmp_path, monkeypatch):
+    """The second interpreter's solvers take part, with costs that agree; here it is this one, with stand-ins."""
+    (tmp_path / "lapjv.py").write_text(
+        "from scipy.optimize import linear_sum_assignment\n"
+        "def lapjv(cost):\n    return linear_sum_assignment(cost)[::-1]\n"
+    )
+    package = tmp_path / "lapjv-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: lapjv\nVersion: 1.0\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    cases = (ot_bench.Case(20, 20, 3, "gauss", "uniform"), ot_bench.Case(15, 9, 2, "mix", "random"))
+    monkeypatch.setattr(ot_bench, "QUICK", cases)
+    ot_bench.run(True, tmp_path, Path(sys.executable))
+    record = json.loads((tmp_path / "ot_quick.json").read_text())
+    assert record["versions"]["lapjv"] == "1.0"
+    assert ["lapjv" in row["seconds"] for row in record["rows"]] == [True, False]
+    assert max(r["apart"] for r in record["rows"]) < 1e-12
 
 
 @pytest.mark.parametrize("case", ot_bench.FULL, ids=str)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import statistics
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -20,12 +21,15 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from nfpde.bench.peers import PACKAGES, Peers
 from nfpde.ot import emd
 
 Array = NDArray[np.float64]
 Solve = Callable[[Array, Array, Array | None, Array | None], float]
 
 SEED = 0
+LAZY = 2000
+"""Points up to which POT's solver without a matrix takes part; beyond it takes minutes."""
 REPEATS = {300: 15, 2000: 5, 10**9: 3}
 """Repeats of a case with at most so many points; the median is reported."""
 
@@ -81,31 +85,37 @@ def solvers(case: Case) -> dict[str, Solve]:
     found: dict[str, Solve] = {"nfpde": lambda x, y, a, b: emd(x, y, a, b).cost}
     if find_spec("ot") is not None:
         found["POT"] = _pot
+        if max(case.n, case.m) <= LAZY and hasattr(import_module("ot").lp, "emd2_lazy"):
+            found["POT lazy"] = _pot_lazy
     if case.weights == "uniform" and case.n == case.m:
         found["SciPy"] = _scipy
-        if find_spec("lapjv") is not None:
-            lapjv = import_module("lapjv").lapjv
-            found["lapjv"] = lambda x, y, a, b: _assigned(cost := cdist(x, y), lapjv(cost)[0])
     return found
 
 
-def run(quick: bool, out: Path) -> None:
+def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
     """Measure every case with interleaved runs, print a table, write it to ot.md and ot.json.
 
     Args:
         quick: small cases only.
         out: folder for the tables.
+        peers_python: Python with the packages of `nfpde.bench.peers`; without it they are left out.
     """
+    peers = None if peers_python is None else Peers(peers_python)
+    command = "nfpde bench ot" + (" --quick" if quick else "")
     facts = {
-        "command": "nfpde bench ot" + (" --quick" if quick else ""),
+        "command": command + (" --peers-python ..." if peers else ""),
         "seed": SEED,
-        "versions": {name: version(name) for name in ("nfpde", "numpy", "scipy")} | _peers(),
+        "versions": {name: version(name) for name in ("nfpde", "numpy", "scipy")}
+        | ({"POT": version("POT")} if find_spec("ot") is not None else {})
+        | (peers.versions if peers else {}),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
     }
     rows = []
     for case in QUICK if quick else FULL:
-        rows.append(_measure(case))
+        rows.append(_measure(case, peers))
         print(_line(rows[-1]), flush=True)
+    if peers:
+        peers.close()
     out.mkdir(parents=True, exist_ok=True)
     name = "ot_quick" if quick else "ot"
     (out / f"{name}.json").write_text(json.dumps({**facts, "rows": rows}, indent=1))
@@ -114,9 +124,12 @@ def run(quick: bool, out: Path) -> None:
     (out / f"{name}.md").write_text(table)
 
 
-def _measure(case: Case) -> dict[str, Any]:
+def _measure(case: Case, peers: Peers | None) -> dict[str, Any]:
     """Median CPU seconds of every solver, in turn, and how far their costs are apart."""
     data, candidates = clouds(case), solvers(case)
+    others = _packages(case, peers)
+    if peers and others:
+        _hand_over(data, peers)
     repeats = next(count for limit, count in REPEATS.items() if max(case.n, case.m) <= limit)
     times: dict[str, list[float]] = {name: [] for name in candidates}
     costs: dict[str, float] = {}
@@ -125,6 +138,10 @@ def _measure(case: Case) -> dict[str, Any]:
             started = time.process_time()
             costs[name] = solve(*data)
             times[name].append(time.process_time() - started)
+        if peers:
+            for name in others:
+                seconds, costs[name] = peers.solve(name)
+                times.setdefault(name, []).append(seconds)
     own = costs["nfpde"]
     return {
         "case": str(case),
@@ -144,26 +161,43 @@ def _pot(x: Array, y: Array, a: Array | None, b: Array | None) -> float:
         return float(pot.emd2([] if a is None else a, [] if b is None else b, cost, numItermax=10**9))
 
 
+def _pot_lazy(x: Array, y: Array, a: Array | None, b: Array | None) -> float:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        solved = import_module("ot").lp.emd2_lazy(x, y, a, b, metric="euclidean", numItermax=10**9, return_matrix=False)
+    return float(solved)
+
+
 def _scipy(x: Array, y: Array, a: Array | None, b: Array | None) -> float:
     cost = cdist(x, y)
     rows, columns = linear_sum_assignment(cost)
     return float(cost[rows, columns].mean())
 
 
-def _assigned(cost: NDArray[Any], columns: NDArray[np.intp]) -> float:
-    return float(cost[np.arange(len(cost)), columns].mean())
+def _packages(case: Case, peers: Peers | None) -> list[str]:
+    """The packages of the other environment that a case compares; assignments have equal sides."""
+    if peers is None:
+        return []
+    fits = [name for name, weights in PACKAGES.items() if weights == case.weights]
+    return [name for name in fits if name in peers.versions and (case.weights == "random" or case.n == case.m)]
 
 
-def _peers() -> dict[str, str]:
-    packages = {"ot": "POT", "lapjv": "lapjv"}
-    return {package: version(package) for module, package in packages.items() if find_spec(module) is not None}
+def _hand_over(data: tuple[Array, Array, Array | None, Array | None], peers: Peers) -> None:
+    x, y, a, b = data
+    a = np.full(len(x), 1 / len(x)) if a is None else a
+    b = np.full(len(y), 1 / len(y)) if b is None else b
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "case.npz"
+        np.savez(path, x=x, y=y, a=a, b=b)
+        peers.load(path)
+
+
+COLUMNS = ("POT", "POT lazy", "SciPy", *PACKAGES)
 
 
 def _line(row: dict[str, Any]) -> str:
     own = row["seconds"]["nfpde"]
-    cells = [
-        f"{row['seconds'][peer] / own:.1f}x" if peer in row["seconds"] else "" for peer in ("POT", "SciPy", "lapjv")
-    ]
+    cells = [f"{row['seconds'][peer] / own:.1f}x" if peer in row["seconds"] else "" for peer in COLUMNS]
     return f"| {row['case']} | {1e3 * own:.2f} | {' | '.join(cells)} | {row['apart']:.0e} | {row['repeats']} |"
 
 
@@ -176,10 +210,12 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             "From points to the exact Euclidean cost, one thread, median CPU time of interleaved runs in one process. "
             "Peers: how many times longer they take, the distance matrix (SciPy's) included; POT with numItermax=1e9, "
-            "because its default stops early at large sizes. `apart`: largest relative difference of the costs.",
+            "because its default stops early at large sizes; "
+            "lapjv, lapx (lapjvr) and Wasserstein in a process of their own, in turn with the others. "
+            "`apart`: largest relative difference of the costs.",
             "",
-            "| case | nfpde, CPU ms | POT | SciPy | lapjv | apart | repeats |",
-            "|---|---|---|---|---|---|---|",
+            f"| case | nfpde, CPU ms | {' | '.join(COLUMNS)} | apart | repeats |",
+            "|---" * (len(COLUMNS) + 4) + "|",
             *map(_line, rows),
             "",
             f"Slower than a peer in {len(lost)} of {len(rows)} cases" + (f": {'; '.join(lost)}." if lost else "."),

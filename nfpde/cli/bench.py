@@ -35,11 +35,17 @@ def losses(
 
 
 @app.command("ot")
-def ot(quick: Quick = False, out: Out = Path("docs/results")) -> None:
-    """Exact optimal transport beside POT, SciPy and others that are installed."""
+def ot(
+    quick: Quick = False,
+    out: Out = Path("docs/results"),
+    peers_python: Annotated[
+        Path | None, typer.Option(help="Python of an environment with lapjv, lapx and Wasserstein")
+    ] = None,
+) -> None:
+    """Exact optimal transport beside POT and SciPy, and beside solvers of another environment."""
     from nfpde.bench import ot as bench
 
-    bench.run(quick, out)
+    bench.run(quick, out, peers_python)
 
 
 @app.command("fit")

@@ -1,5 +1,6 @@
 //! Network simplex over a list of arcs.
 
+use crate::candidates::Candidates;
 use crate::error::OtError;
 use crate::network_simplex::Tolerance;
 use crate::tree::Tree;
@@ -58,39 +59,44 @@ impl ArcList {
 
 /// Improves the tree until no arc of the list has a negative reduced cost.
 ///
+/// The arcs are priced in blocks. A block gives its most negative arcs, and each of them enters the tree unless those
+/// before it have changed its reduced cost too much; then the potentials are computed again.
+///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
 pub fn solve(arcs: &ArcList, tree: &mut Tree, tolerance: &mut Tolerance, watch: &mut Watch<'_>) -> Result<(), OtError> {
     let n = tree.row_potentials().len();
     let count = arcs.len();
-    let block = ((BLOCK_FACTOR * (count as f64).sqrt()) as usize).clamp(1, count.max(1));
+    let block = count.div_ceil(BLOCKS).max(1);
+    let mut candidates = Candidates::default();
     let mut place = 0;
     loop {
         let (mut clean, mut pivots) = (0, 0u64);
         while clean < count {
             let end = (place + block).min(count);
-            let (reduced, arc) = arcs.cheapest(place..end, &tree.pi);
-            let mut found = false;
-            if arc != usize::MAX {
-                let (row, head, cost) = arcs.get(arc);
-                if tolerance.is_negative(reduced, cost, tree.pi[row as usize], tree.pi[head as usize]) {
-                    watch.step()?;
-                    tree.pivot(row as usize, head as usize - n, cost);
-                    tolerance.count_pivot(tree);
-                    pivots += 1;
-                    found = true;
+            for start in (place..end).step_by(NEIGHBOURS) {
+                let (reduced, arc) = arcs.cheapest(start..(start + NEIGHBOURS).min(end), &tree.pi);
+                if tolerance.may_be_negative(reduced) {
+                    candidates.add(reduced, arc);
                 }
             }
-            clean = if found { 0 } else { clean + end - place };
+            let enter = |arc: usize, tree: &mut Tree, tolerance: &Tolerance| {
+                let (row, head, cost) = arcs.get(arc);
+                tree.pivot(row as usize, head as usize - n, cost, tolerance)
+            };
+            let entered = candidates.enter(tree, tolerance, watch, enter)?;
+            pivots += entered;
+            clean = if entered > 0 { 0 } else { clean + end - place };
             place = if end == count { 0 } else { end };
         }
         if pivots == 0 {
             return Ok(());
         }
-        tree.refresh_potentials();
-        tolerance.adapt(tree);
+        tree.recentre();
+        tolerance.adapt(&tree.pi);
     }
 }
 
-/// Arcs priced before each pivot, in square roots of their number.
-const BLOCK_FACTOR: f64 = 6.0;
+/// Blocks that the list is priced in, and arcs of which at most one is a candidate.
+const BLOCKS: usize = 4;
+const NEIGHBOURS: usize = 32;

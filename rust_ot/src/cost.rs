@@ -23,6 +23,16 @@ pub trait Cost: Sync {
     fn fill_row(&self, row: usize, out: &mut [f64]);
     /// The same costs for some of the rows and columns.
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_>;
+    /// For each of some points of one side, the place in `among` of the nearest point of that side; `None` where
+    /// points have no places.
+    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
+        let _ = (rows, points, among);
+        None
+    }
+    /// Whether all pairs are at hand rather than computed when asked for.
+    fn is_stored(&self) -> bool {
+        false
+    }
     /// A bound on the absolute cost of every pair, scaled.
     fn bound(&self) -> f64;
     /// Cost of one pair in the caller's units.

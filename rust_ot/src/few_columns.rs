@@ -21,6 +21,18 @@ const ROUNDING: f64 = 8.0 * f64::EPSILON;
 /// Rows by what they lose when they change from one column to another; the loss is stored as ordered bits.
 type Movers = BinaryHeap<Reverse<(u64, u32)>>;
 
+/// The row that loses least by a change from one column to another.
+#[derive(Clone, Copy)]
+struct Step {
+    /// What it loses, before potentials; infinite without a row.
+    loss: f64,
+    /// Size of the two costs.
+    size: f64,
+    row: u32,
+}
+
+const NO_STEP: Step = Step { loss: f64::INFINITY, size: 0.0, row: u32::MAX };
+
 /// The state of the search.
 struct Search<'a> {
     table: Table<'a>,
@@ -28,6 +40,8 @@ struct Search<'a> {
     excess: Vec<i64>,
     v: Vec<f64>,
     movers: Vec<Movers>,
+    /// The best mover of each pair of columns.
+    steps: Vec<Step>,
 }
 
 /// An optimal plan and the potentials of the columns.
@@ -39,7 +53,11 @@ pub struct Optimum {
     pub v: Vec<f64>,
 }
 
-/// Solves a table with few columns, from potentials `v` of the columns.
+/// Paths for each row and column before giving up; less than one is usual.
+const PATHS_A_NODE: usize = 8;
+
+/// Solves a table with few columns, from potentials `v` of the columns; `None` when mass goes in small steps only, as it
+/// may where many ways cost the same.
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
@@ -49,33 +67,41 @@ pub fn solve(
     cols: &[i64],
     v: Vec<f64>,
     watch: &mut Watch<'_>,
-) -> Result<Optimum, OtError> {
+) -> Result<Option<Optimum>, OtError> {
     watch.ask()?;
     let m = table.cols;
     let mut flow = vec![0; table.costs.len()];
     let mut excess: Vec<i64> = cols.iter().map(|b| -b).collect();
-    let mut losses: Vec<Vec<Reverse<(u64, u32)>>> = vec![Vec::new(); m * m];
-    for (i, costs) in table.costs.chunks_exact(m).enumerate() {
-        let mut best = 0;
-        for j in 1..m {
-            if costs[j] - v[j] < costs[best] - v[best] {
-                best = j;
-            }
-        }
+    let least =
+        |costs: &[f64]| (1..m).fold(0, |best, j| if costs[j] - v[j] < costs[best] - v[best] { j } else { best });
+    let best: Vec<usize> = table.costs.chunks_exact(m).map(least).collect();
+    let mut counts = vec![0; m];
+    best.iter().for_each(|&j| counts[j] += 1);
+    let mut losses: Vec<Vec<Reverse<(u64, u32)>>> =
+        (0..m * m).map(|pair| Vec::with_capacity(counts[pair / m])).collect();
+    for ((i, costs), &best) in table.costs.chunks_exact(m).enumerate().zip(&best) {
         flow[i * m + best] = rows[i];
         excess[best] += rows[i];
-        for k in (0..m).filter(|&k| k != best) {
-            losses[best * m + k].push(Reverse((ordered(costs[k] - costs[best]), i as u32)));
+        for (k, (losses, cost)) in losses[best * m..(best + 1) * m].iter_mut().zip(costs).enumerate() {
+            if k != best {
+                losses.push(Reverse((ordered(cost - costs[best]), i as u32)));
+            }
         }
     }
     let movers = losses.into_iter().map(BinaryHeap::from).collect();
-    let mut search = Search { table, flow, excess, v, movers };
+    let mut search = Search { table, flow, excess, v, movers, steps: vec![NO_STEP; m * m] };
+    (0..m * m).for_each(|pair| search.find_step(pair));
     let mut paths = Paths::new(m);
+    let mut paths_left = PATHS_A_NODE * (rows.len() + m);
     while search.improve(&mut paths) {
         watch.step()?;
+        paths_left -= 1;
+        if paths_left == 0 {
+            return Ok(None);
+        }
     }
     remove_cycles(&mut search.flow, m);
-    Ok(Optimum { flow: search.flow, v: search.v })
+    Ok(Some(Optimum { flow: search.flow, v: search.v }))
 }
 
 /// Bits that sort as the numbers do.
@@ -153,21 +179,31 @@ impl Search<'_> {
     }
 
     /// Reduced cost of the step from column `j` to `k`, by the row that loses least by it.
-    fn step_length(&mut self, j: usize, k: usize) -> Option<(f64, u32)> {
+    fn step_length(&self, j: usize, k: usize) -> Option<(f64, u32)> {
+        let step = self.steps[j * self.table.cols + k];
+        if step.row == u32::MAX {
+            return None;
+        }
+        let (from, to) = (self.v[j], self.v[k]);
+        let reduced = step.loss + (from - to);
+        let rounding = ROUNDING * (step.size + from.abs() + to.abs());
+        Some((if reduced > rounding { reduced } else { 0.0 }, step.row))
+    }
+
+    /// Finds the best mover of a pair of columns again.
+    fn find_step(&mut self, pair: usize) {
         let m = self.table.cols;
-        let movers = &mut self.movers[j * m + k];
-        while let Some(&Reverse((_, row))) = movers.peek() {
+        let (j, k) = (pair / m, pair % m);
+        self.steps[pair] = NO_STEP;
+        while let Some(&Reverse((_, row))) = self.movers[pair].peek() {
             let place = row as usize * m;
             if self.flow[place + j] > 0 {
                 let (from, to) = (self.table.costs[place + j], self.table.costs[place + k]);
-                let (v_from, v_to) = (self.v[j], self.v[k]);
-                let reduced = (to - from) + (v_from - v_to);
-                let rounding = ROUNDING * (from.abs() + to.abs() + v_from.abs() + v_to.abs());
-                return Some((if reduced > rounding { reduced } else { 0.0 }, row));
+                self.steps[pair] = Step { loss: to - from, size: from.abs() + to.abs(), row };
+                return;
             }
-            movers.pop();
+            self.movers[pair].pop();
         }
-        None
     }
 
     /// Moves as much as the path to `target` allows.
@@ -187,6 +223,13 @@ impl Search<'_> {
         while paths.before[k] != NOWHERE {
             let (j, row) = (paths.before[k], paths.mover[k] as usize);
             self.flow[row * m + j] -= amount;
+            if self.flow[row * m + j] == 0 {
+                for pair in j * m..(j + 1) * m {
+                    if self.steps[pair].row == row as u32 {
+                        self.find_step(pair);
+                    }
+                }
+            }
             if self.flow[row * m + k] == 0 {
                 self.arrive(row, k);
             }
@@ -200,7 +243,12 @@ impl Search<'_> {
         let m = self.table.cols;
         let costs = &self.table.costs[row * m..(row + 1) * m];
         for k in (0..m).filter(|&k| k != j) {
-            self.movers[j * m + k].push(Reverse((ordered(costs[k] - costs[j]), row as u32)));
+            let loss = costs[k] - costs[j];
+            self.movers[j * m + k].push(Reverse((ordered(loss), row as u32)));
+            let step = &mut self.steps[j * m + k];
+            if loss < step.loss || (loss == step.loss && (row as u32) < step.row) {
+                *step = Step { loss, size: costs[j].abs() + costs[k].abs(), row: row as u32 };
+            }
         }
     }
 }

@@ -5,7 +5,9 @@
 
 pub mod arcs;
 pub mod assignment;
+pub mod candidates;
 pub mod certificate;
+pub mod coarse;
 pub mod coarse_to_fine;
 pub mod cost;
 pub mod error;
@@ -21,6 +23,9 @@ pub mod scan;
 mod simd;
 pub mod solution;
 pub mod sparse_assignment;
+pub mod sparse_transport;
+pub mod stored;
+pub mod threaded_tree;
 pub mod transport;
 pub mod tree;
 pub mod watch;

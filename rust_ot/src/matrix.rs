@@ -59,6 +59,10 @@ impl Cost for Matrix<'_> {
         Box::new(Part { costs, cols: cols.len(), bound: self.bound, shift: self.shift })
     }
 
+    fn is_stored(&self) -> bool {
+        true
+    }
+
     fn bound(&self) -> f64 {
         self.bound
     }
@@ -101,6 +105,10 @@ impl Cost for Part {
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_> {
         let costs = rows.iter().flat_map(|&i| cols.iter().map(move |&j| self.at(i, j))).collect();
         Box::new(Self { costs, cols: cols.len(), bound: self.bound, shift: self.shift })
+    }
+
+    fn is_stored(&self) -> bool {
+        true
     }
 
     fn bound(&self) -> f64 {

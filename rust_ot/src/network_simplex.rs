@@ -2,7 +2,7 @@
 
 use crate::error::OtError;
 use crate::simd::{LeastSum, run};
-use crate::tree::Tree;
+use crate::threaded_tree::ThreadedTree;
 use crate::watch::Watch;
 
 /// How negative a reduced cost must be to count: more than rounding can make it.
@@ -27,19 +27,19 @@ impl Tolerance {
 
     const SHARE: f64 = 7.2e-15;
 
-    /// Takes over the size of the potentials after they were computed again.
-    pub fn adapt(&mut self, tree: &Tree) {
-        self.floor = Self::SHARE * self.growth * typical_size(tree.pi[..tree.pi.len() - 1].iter());
+    /// Takes over the size of the potentials, the last of which is the root's, after they were computed again.
+    pub fn adapt(&mut self, pi: &[f64]) {
+        self.floor = Self::SHARE * self.growth * typical_size(pi[..pi.len() - 1].iter());
     }
 
     /// Counts a pivot. A search that goes on for very long is turning in rounding errors: it gets more tolerance, and
     /// the certificate decides whether the outcome is good enough.
-    pub fn count_pivot(&mut self, tree: &Tree) {
+    pub fn count_pivot(&mut self, pi: &[f64]) {
         self.pivots_left -= 1;
         if self.pivots_left == 0 {
-            self.pivots_left = 20 * tree.pi.len() as u64 + 1_000;
+            self.pivots_left = 20 * pi.len() as u64 + 1_000;
             self.growth *= 4.0;
-            self.adapt(tree);
+            self.adapt(pi);
         }
     }
 
@@ -77,7 +77,12 @@ pub struct Table<'a> {
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
-pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) -> Result<Tree, OtError> {
+pub fn solve(
+    table: Table<'_>,
+    mut tree: ThreadedTree,
+    big: f64,
+    watch: &mut Watch<'_>,
+) -> Result<ThreadedTree, OtError> {
     let rows = table.costs.len() / table.cols;
     let mut tolerance = Tolerance::new(big, tree.pi.len());
     watch.ask()?;
@@ -92,7 +97,7 @@ pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) 
                 Some((i, j, cost)) => {
                     watch.step()?;
                     tree.pivot(i, j, cost);
-                    tolerance.count_pivot(&tree);
+                    tolerance.count_pivot(&tree.pi);
                     clean = 0;
                     pivots += 1;
                 }
@@ -104,7 +109,7 @@ pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) 
             return Ok(tree);
         }
         tree.refresh_potentials();
-        tolerance.adapt(&tree);
+        tolerance.adapt(&tree.pi);
     }
 }
 
@@ -112,7 +117,7 @@ pub fn solve(table: Table<'_>, mut tree: Tree, big: f64, watch: &mut Watch<'_>) 
 fn price_rows(
     table: Table<'_>,
     rows: std::ops::Range<usize>,
-    tree: &Tree,
+    tree: &ThreadedTree,
     tolerance: Tolerance,
 ) -> Option<(usize, usize, f64)> {
     let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());

@@ -3,11 +3,14 @@
 use crate::cost::{Cost, Metric};
 use crate::error::{OtError, bad};
 use crate::masses::{exponent_of, times_power_of_two};
-use crate::simd::{LANES, vectorized};
+use crate::simd::{LANES, LeastSum, run, vectorized};
 
 /// Above this cost and with exponents below this one, squares and results are far from the ends of the range.
 const SAFE_COST: f64 = 1e-100;
 const SAFE_EXPONENT: i32 = 500;
+
+/// Largest share of the mean squared distance at which a point still stands for its nearest.
+const NEAR: f64 = 0.25;
 
 /// Two sets of points; costs are direct differences in `f64`, never expanded squares.
 #[derive(Clone, Debug)]
@@ -154,6 +157,24 @@ impl Cost for Points {
         let x = rows.iter().flat_map(|&i| self.row(i)).copied().collect();
         let y = cols.iter().flat_map(|&j| self.col(j)).copied().collect();
         Box::new(Self::assemble(x, y, self.dim, self.metric, self.shift, self.bound))
+    }
+
+    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
+        let side = if rows { &self.x } else { &self.y };
+        let pick = |places: &[usize]| -> Vec<f64> {
+            places.iter().flat_map(|&i| &side[i * self.dim..(i + 1) * self.dim]).copied().collect()
+        };
+        let pairs = Self::assemble(pick(points), pick(among), self.dim, Metric::SqEuclidean, self.shift, self.bound);
+        let (mut row, zeros) = (vec![0.0; among.len()], vec![0.0; among.len()]);
+        let (mut nearest, mut near, mut any) = (Vec::with_capacity(points.len()), 0.0, 0.0);
+        for i in 0..points.len() {
+            pairs.fill_row(i, &mut row);
+            let (least, place) = run(LeastSum(&row, &zeros));
+            nearest.push(place as u32);
+            near += least;
+            any += row[i % row.len()];
+        }
+        (near <= NEAR * any).then_some(nearest)
     }
 
     fn bound(&self) -> f64 {

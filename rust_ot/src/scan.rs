@@ -27,6 +27,16 @@ pub struct Pass {
     pub col_best: Vec<(u32, f64)>,
 }
 
+impl Pass {
+    /// Mean reduced cost of the last arc of each row.
+    #[must_use]
+    pub fn typical_reach(&self) -> f64 {
+        let rows = self.arcs.iter().zip(&self.row_minimum);
+        let reach = rows.map(|(arcs, low)| arcs.last().map_or(0.0, |arc| arc.0 - low));
+        (reach.sum::<f64>() / self.arcs.len() as f64).max(f64::MIN_POSITIVE)
+    }
+}
+
 /// Scratch memory of one thread.
 struct Scratch {
     costs: Vec<f64>,

@@ -4,6 +4,19 @@
 
 use pulp::{Simd, WithSimd, bytemuck};
 
+/// The widest vector instructions of the processor.
+#[cfg(not(test))]
+#[inline(always)]
+pub(crate) fn arch() -> pulp::Arch {
+    pulp::Arch::new()
+}
+
+#[cfg(test)]
+pub(crate) use levels::arch;
+
+#[cfg(test)]
+mod levels;
+
 /// A token that is not `Copy`: a closure that consumes it is compiled as one function with the caller's instructions.
 pub(crate) struct Once;
 
@@ -11,7 +24,7 @@ pub(crate) struct Once;
 macro_rules! vectorized {
     ($body:expr) => {{
         let once = $crate::simd::Once;
-        pulp::Arch::new().dispatch(
+        $crate::simd::arch().dispatch(
             #[inline(always)]
             || {
                 let _consumed = once;
@@ -258,7 +271,7 @@ impl WithSimd for Improve<'_> {
 /// Runs a loop with the widest vector instructions of the processor.
 #[inline]
 pub(crate) fn run<K: WithSimd>(kernel: K) -> K::Output {
-    pulp::Arch::new().dispatch(kernel)
+    arch().dispatch(kernel)
 }
 
 /// `least[j] = min(least[j], a[j] - b)`.

@@ -35,7 +35,7 @@ pub fn solve(
             listed.push((col as u32, c));
         }
     }
-    let mut matcher = Matcher::new(minus_v.iter().map(|v| -v).collect(), typical_reach(&pass));
+    let mut matcher = Matcher::new(minus_v.iter().map(|v| -v).collect(), pass.typical_reach());
     for _ in 0..MAX_PASSES {
         matcher.add(&arcs);
         let all = matcher.complete(watch)?;
@@ -57,12 +57,6 @@ pub fn solve(
         }
     }
     Ok(None)
-}
-
-/// Mean reduced cost of the last arc on the shortlists.
-fn typical_reach(pass: &Pass) -> f64 {
-    let reach = pass.arcs.iter().zip(&pass.row_minimum).map(|(arcs, low)| arcs.last().map_or(0.0, |arc| arc.0 - low));
-    (reach.sum::<f64>() / pass.arcs.len() as f64).max(f64::MIN_POSITIVE)
 }
 
 fn columns_and_costs(pass: &Pass) -> Vec<Vec<(u32, f64)>> {

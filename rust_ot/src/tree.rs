@@ -3,25 +3,51 @@
 //! Arcs go from rows to columns and have no upper bound, so the arcs outside the tree carry nothing and are not
 //! stored. An arc of the tree is stored at its lower node: a row sends its flow up, a column takes it from above.
 //! The tree stays strongly feasible (an empty arc always points to the root), which excludes cycling.
+//!
+//! A pivot touches the nodes of its cycle and no others: potentials stay as they were until [`Tree::refresh`]. What an
+//! arc of the tree would have to shift the nodes below it by is stored with it, so that the reduced cost of any arc
+//! is known from the ways of its ends up to where they meet.
+
+use crate::network_simplex::Tolerance;
 
 /// "No node".
 pub const NONE: u32 = u32::MAX;
+
+/// A node and the arc to its parent.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    parent: u32,
+    /// Nodes of its subtree.
+    size: u32,
+    flow: i64,
+    cost: f64,
+    /// How much more than its parent's its potential has to change; zero for the arcs of the last refresh.
+    shift: f64,
+}
 
 /// A spanning tree with flows, costs and potentials. Nodes: rows `0..n`, columns `n..n+m`, then the root.
 #[derive(Clone, Debug)]
 pub struct Tree {
     n: usize,
     m: usize,
-    parent: Vec<u32>,
-    next: Vec<u32>,
-    prev: Vec<u32>,
-    last: Vec<u32>,
-    size: Vec<u32>,
-    flow: Vec<i64>,
-    cost: Vec<f64>,
-    /// `u` for rows and `-v` for columns: the reduced cost of an arc is `cost - pi[row] + pi[column]`.
+    nodes: Vec<Node>,
+    /// `u` for rows and `-v` for columns, as of the last refresh: the reduced cost of an arc is
+    /// `cost - pi[row] + pi[column]`.
     pub pi: Vec<f64>,
-    stem: Vec<u32>,
+    /// Nodes on the way to one whose potential is known, and the refresh at which each node was done.
+    way: Vec<u32>,
+    order: Vec<u32>,
+    last_order: Vec<u32>,
+    done: Vec<u32>,
+    refreshes: u32,
+}
+
+/// The cycle that an arc closes: where its ends meet, the arc that empties first, and the flow that it allows.
+struct Cycle {
+    join: u32,
+    leaving: u32,
+    on_tail_side: bool,
+    amount: i64,
 }
 
 impl Tree {
@@ -29,32 +55,23 @@ impl Tree {
     #[must_use]
     pub fn star(rows: &[i64], cols: &[i64], big: f64) -> Self {
         let (n, m) = (rows.len(), cols.len());
-        let nodes = n + m + 1;
         let root = n + m;
+        let leaf = |&flow: &i64| Node { parent: root as u32, size: 1, flow, cost: big, shift: 0.0 };
+        let mut nodes: Vec<Node> = rows.iter().chain(cols).map(leaf).collect();
+        nodes.push(Node { parent: NONE, size: root as u32 + 1, flow: 0, cost: 0.0, shift: 0.0 });
         let mut pi = vec![big; n];
         pi.resize(n + m, -big);
         pi.push(0.0);
-        let mut flow = rows.to_vec();
-        flow.extend_from_slice(cols);
-        flow.push(0);
-        let mut parent = vec![root as u32; nodes];
-        parent[root] = NONE;
-        let mut size = vec![1; nodes];
-        size[root] = nodes as u32;
-        let mut last: Vec<u32> = (0..nodes as u32).collect();
-        last[root] = root as u32 - 1;
         Self {
             n,
             m,
-            parent,
-            next: (0..nodes).map(|v| if v == root { 0 } else { v as u32 + 1 }).collect(),
-            prev: (0..nodes).map(|v| if v == 0 { root as u32 } else { v as u32 - 1 }).collect(),
-            last,
-            size,
-            flow,
-            cost: vec![big; nodes],
+            nodes,
             pi,
-            stem: Vec::new(),
+            way: Vec::new(),
+            order: (0..root as u32).collect(),
+            last_order: Vec::new(),
+            done: vec![0; root + 1],
+            refreshes: 0,
         }
     }
 
@@ -95,8 +112,7 @@ impl Tree {
                 continue;
             }
             seen[top] = true;
-            tree.cost[top] = artificial[top];
-            tree.flow[top] = left[top];
+            (tree.nodes[top].cost, tree.nodes[top].flow) = (artificial[top], left[top]);
             stack.push(top);
             while let Some(v) = stack.pop() {
                 order.push(v);
@@ -104,52 +120,32 @@ impl Tree {
                     let w = w as usize;
                     if !seen[w] {
                         seen[w] = true;
-                        tree.parent[w] = v as u32;
-                        (tree.cost[w], tree.flow[w]) = (arcs[k as usize].2, arcs[k as usize].3);
+                        let (_, _, cost, flow) = arcs[k as usize];
+                        tree.nodes[w] = Node { parent: v as u32, size: 1, flow, cost, shift: 0.0 };
                         stack.push(w);
                     }
                 }
             }
         }
-        tree.thread(&order);
-        tree.refresh_potentials();
-        tree
-    }
-
-    /// Sets the links and counts of a tree whose parents are given, from its preorder without the root.
-    fn thread(&mut self, order: &[usize]) {
-        let root = self.n + self.m;
-        self.size.fill(1);
-        let mut before = root;
-        for &v in order {
-            self.next[before] = v as u32;
-            self.prev[v] = before as u32;
-            self.last[v] = v as u32;
-            before = v;
-        }
-        self.next[before] = root as u32;
-        self.prev[root] = before as u32;
-        self.last[root] = before as u32;
         for &v in order.iter().rev() {
-            let up = self.parent[v] as usize;
-            self.size[up] += self.size[v];
-            let last = self.last[v];
-            if self.last[up] as usize == up || self.size[up] == self.size[v] + 1 {
-                self.last[up] = last;
+            let (parent, size) = (tree.nodes[v].parent as usize, tree.nodes[v].size);
+            if parent != nodes {
+                tree.nodes[parent].size += size;
             }
         }
-        self.last[root] = before as u32;
+        tree.refresh();
+        tree
     }
 
     /// Makes the artificial arcs of the tree dearer, and computes the potentials again.
     pub fn raise_artificial(&mut self, by: f64) {
-        let root = (self.n + self.m) as u32;
-        for v in 0..self.n + self.m {
-            if self.parent[v] == root {
-                self.cost[v] += by;
+        let root = self.n + self.m;
+        for node in &mut self.nodes[..root] {
+            if node.parent as usize == root {
+                node.cost += by;
             }
         }
-        self.refresh_potentials();
+        self.refresh();
     }
 
     /// Potentials of the rows.
@@ -164,211 +160,155 @@ impl Tree {
         &self.pi[self.n..self.n + self.m]
     }
 
-    /// Brings the arc `row -> column` into the tree; its reduced cost must be negative.
-    pub fn pivot(&mut self, row: usize, col: usize, cost: f64) {
+    /// Brings the arc `row -> column` into the tree if its reduced cost is negative, and tells whether it was.
+    pub fn pivot(&mut self, row: usize, col: usize, cost: f64, tolerance: &Tolerance) -> bool {
         let (tail, head) = (row as u32, (self.n + col) as u32);
-        let reduced = cost - self.pi[row] + self.pi[self.n + col];
-        let (join, leaving, on_tail_side, amount) = self.ratio_test(tail, head);
-        self.push_flow(tail, head, join, amount);
-        let (inner, outer, shift) = if on_tail_side { (tail, head, reduced) } else { (head, tail, -reduced) };
-        self.shift_potentials(leaving, shift);
-        self.detach(leaving);
-        self.reroot(inner, leaving);
-        self.attach(inner, outer);
-        self.flow[inner as usize] = amount;
-        self.cost[inner as usize] = cost;
+        let (u, minus_v) = (self.pi[row], self.pi[self.n + col]);
+        // What the arc would shift its tail by, had nothing changed since the last refresh.
+        let shift = cost - u + minus_v;
+        let (cycle, ways) = self.cycle(tail, head);
+        if !tolerance.is_negative(shift + ways, cost, u, minus_v) {
+            return false;
+        }
+        let Cycle { leaving, on_tail_side, amount, .. } = cycle;
+        let (inner, outer, shift) = if on_tail_side { (tail, head, shift) } else { (head, tail, -shift) };
+        self.push_flow(tail, head, &cycle);
+        self.rehang(inner, leaving, Node { parent: outer, size: 0, flow: amount, cost, shift });
+        true
     }
 
-    /// Walks both ends up to where they meet; finds the arc that empties first, the last such on the cycle.
-    fn ratio_test(&self, tail: u32, head: u32) -> (u32, u32, bool, i64) {
+    /// Walks both ends up to where they meet; finds the arc that empties first, the last such on the cycle, and how
+    /// much more the potential of the head than that of the tail has changed since the last refresh.
+    fn cycle(&self, tail: u32, head: u32) -> (Cycle, f64) {
         let (mut a, mut b) = (tail, head);
-        let (mut amount, mut leaving, mut on_tail_side) = (i64::MAX, NONE, true);
+        let (mut amount, mut leaving) = (i64::MAX, NONE);
+        let (mut head_amount, mut head_leaving) = (i64::MAX, NONE);
+        let (mut tail_way, mut head_way) = (0.0, 0.0);
         let n = self.n as u32;
-        let mut head_amount = i64::MAX;
-        let mut head_leaving = NONE;
+        let (mut at_a, mut at_b) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         while a != b {
-            if self.size[a as usize] < self.size[b as usize] {
-                if a < n && self.flow[a as usize] < amount {
-                    amount = self.flow[a as usize];
-                    leaving = a;
+            if at_a.size < at_b.size {
+                if a < n && at_a.flow < amount {
+                    (amount, leaving) = (at_a.flow, a);
                 }
-                a = self.parent[a as usize];
+                tail_way += at_a.shift;
+                a = at_a.parent;
+                at_a = &self.nodes[a as usize];
             } else {
-                if b >= n && self.flow[b as usize] <= head_amount {
-                    head_amount = self.flow[b as usize];
-                    head_leaving = b;
+                if b >= n && at_b.flow <= head_amount {
+                    (head_amount, head_leaving) = (at_b.flow, b);
                 }
-                b = self.parent[b as usize];
+                head_way += at_b.shift;
+                b = at_b.parent;
+                at_b = &self.nodes[b as usize];
             }
         }
-        if head_leaving != NONE && head_amount <= amount {
-            amount = head_amount;
-            leaving = head_leaving;
-            on_tail_side = false;
+        let on_tail_side = head_leaving == NONE || head_amount > amount;
+        if !on_tail_side {
+            (amount, leaving) = (head_amount, head_leaving);
         }
-        (a, leaving, on_tail_side, amount)
+        (Cycle { join: a, leaving, on_tail_side, amount }, head_way - tail_way)
     }
 
-    fn push_flow(&mut self, tail: u32, head: u32, join: u32, amount: i64) {
-        if amount == 0 {
-            return;
-        }
+    /// Sends the flow round the cycle, and moves the leaving subtree from the counts of its side to the other's.
+    fn push_flow(&mut self, tail: u32, head: u32, cycle: &Cycle) {
+        let moved = self.nodes[cycle.leaving as usize].size;
         let n = self.n as u32;
-        let mut node = tail;
-        while node != join {
-            self.flow[node as usize] += if node < n { -amount } else { amount };
-            node = self.parent[node as usize];
-        }
-        node = head;
-        while node != join {
-            self.flow[node as usize] += if node < n { amount } else { -amount };
-            node = self.parent[node as usize];
+        for (start, loses, rows_gain) in
+            [(tail, cycle.on_tail_side, -cycle.amount), (head, !cycle.on_tail_side, cycle.amount)]
+        {
+            let mut node = start;
+            // On the losing side the counts change above the leaving arc, on the other one from the start.
+            let mut change = if loses { 0 } else { moved };
+            while node != cycle.join {
+                let at = &mut self.nodes[node as usize];
+                at.flow += if node < n { rows_gain } else { -rows_gain };
+                at.size = at.size.wrapping_add(change);
+                if node == cycle.leaving {
+                    change = moved.wrapping_neg();
+                }
+                node = at.parent;
+            }
         }
     }
 
-    /// Adds `shift` to the subtree of `top`, or takes it from all the other nodes when they are fewer.
-    fn shift_potentials(&mut self, top: u32, shift: f64) {
-        let after = self.next[self.last[top as usize] as usize];
-        let (first, end, shift) = if 2 * self.size[top as usize] as usize <= self.pi.len() {
-            (top, after, shift)
-        } else {
-            (after, top, -shift)
-        };
-        let mut node = first;
+    /// Makes `inner` the top of the subtree of `leaving`, under the parent and with the arc that `top` names.
+    fn rehang(&mut self, inner: u32, leaving: u32, mut top: Node) {
+        let total = self.nodes[leaving as usize].size;
+        let (mut node, mut below) = (inner, 0);
         loop {
-            self.pi[node as usize] += shift;
-            node = self.next[node as usize];
-            if node == end {
-                break;
+            let old = self.nodes[node as usize];
+            self.nodes[node as usize] = Node { size: total - below, ..top };
+            if node == leaving {
+                return;
+            }
+            // The arc upwards becomes the arc downwards.
+            top = Node { parent: node, size: 0, flow: old.flow, cost: old.cost, shift: -old.shift };
+            below = old.size;
+            node = old.parent;
+        }
+    }
+
+    /// Computes all the potentials again from the costs on the tree.
+    pub fn refresh(&mut self) {
+        self.refreshes += 1;
+        let (root, now) = (self.n + self.m, self.refreshes);
+        self.done[root] = now;
+        std::mem::swap(&mut self.order, &mut self.last_order);
+        self.order.clear();
+        // In the order of the last refresh most parents come before their children.
+        for k in 0..root {
+            let start = self.last_order[k];
+            if self.done[start as usize] == now {
+                continue;
+            }
+            let mut node = start;
+            loop {
+                let parent = self.nodes[node as usize].parent;
+                if self.done[parent as usize] == now {
+                    break;
+                }
+                self.way.push(node);
+                node = parent;
+            }
+            loop {
+                let at = &mut self.nodes[node as usize];
+                let above = self.pi[at.parent as usize];
+                at.shift = 0.0;
+                self.pi[node as usize] = if (node as usize) < self.n { above + at.cost } else { above - at.cost };
+                self.done[node as usize] = now;
+                self.order.push(node);
+                let Some(below) = self.way.pop() else { break };
+                node = below;
             }
         }
     }
 
-    /// Cuts the subtree of `top` out of the preorder and out of its ancestors' counts.
-    fn detach(&mut self, top: u32) {
-        let (before, last) = (self.prev[top as usize], self.last[top as usize]);
-        let after = self.next[last as usize];
-        self.next[before as usize] = after;
-        self.prev[after as usize] = before;
-        let size = self.size[top as usize];
-        let mut node = self.parent[top as usize];
-        let mut was_last = true;
-        while node != NONE {
-            self.size[node as usize] -= size;
-            was_last = was_last && self.last[node as usize] == last;
-            if was_last {
-                self.last[node as usize] = before;
-            }
-            node = self.parent[node as usize];
-        }
-    }
-
-    /// Makes `inner` the top of the detached subtree of `top`, turning the arcs between them round.
-    fn reroot(&mut self, inner: u32, top: u32) {
-        if inner == top {
-            return;
-        }
-        self.stem.clear();
-        let mut node = inner;
-        loop {
-            self.stem.push(node);
-            if node == top {
-                break;
-            }
-            node = self.parent[node as usize];
-        }
-        let total = self.size[top as usize];
-        // The new preorder lists what each stem node had below it, less the next stem node's part, from the bottom up.
-        let mut tail = self.last[inner as usize];
-        let mut child_size = self.size[inner as usize];
-        let mut child_last = tail;
-        let mut child_before = self.prev[inner as usize];
-        let mut child_after = self.next[tail as usize];
-        for t in 1..self.stem.len() {
-            let node = self.stem[t] as usize;
-            let (node_size, node_last, node_before) = (self.size[node], self.last[node], self.prev[node]);
-            let node_after = if node_last == child_last { child_after } else { self.next[node_last as usize] };
-            let own_last = if node_last == child_last {
-                child_before
-            } else {
-                self.next[child_before as usize] = child_after;
-                self.prev[child_after as usize] = child_before;
-                node_last
-            };
-            self.size[node] = total - child_size;
-            self.next[tail as usize] = node as u32;
-            self.prev[node] = tail;
-            tail = own_last;
-            (child_size, child_last, child_before, child_after) = (node_size, node_last, node_before, node_after);
-        }
-        self.finish_stem(tail, total);
-    }
-
-    /// Turns the parents, flows and costs along the stem and sets the ends of the new subtrees.
-    fn finish_stem(&mut self, tail: u32, total: u32) {
-        for t in (1..self.stem.len()).rev() {
-            let (below, above) = (self.stem[t - 1] as usize, self.stem[t] as usize);
-            self.parent[above] = below as u32;
-            self.flow[above] = self.flow[below];
-            self.cost[above] = self.cost[below];
-            self.last[above] = tail;
-        }
-        let inner = self.stem[0] as usize;
-        self.last[inner] = tail;
-        self.size[inner] = total;
-    }
-
-    /// Hangs the detached subtree of `inner` under `outer`.
-    fn attach(&mut self, inner: u32, outer: u32) {
-        let (last, after) = (self.last[inner as usize], self.next[outer as usize]);
-        self.parent[inner as usize] = outer;
-        self.next[outer as usize] = inner;
-        self.prev[inner as usize] = outer;
-        self.next[last as usize] = after;
-        self.prev[after as usize] = last;
-        let size = self.size[inner as usize];
-        let mut node = outer;
-        let mut was_last = true;
-        while node != NONE {
-            self.size[node as usize] += size;
-            was_last = was_last && self.last[node as usize] == outer;
-            if was_last {
-                self.last[node as usize] = last;
-            }
-            node = self.parent[node as usize];
-        }
-    }
-
-    /// Computes all the potentials again from the costs on the tree, which removes the drift of many pivots.
-    ///
-    /// They are counted from a typical node, so that a few far points do not cost the others their last digits.
-    pub fn refresh_potentials(&mut self) {
+    /// Counts the potentials from a typical node, so that a few far points do not cost the others their last digits.
+    pub fn recentre(&mut self) {
         let root = self.n + self.m;
         let mut values = self.pi[..root].to_vec();
         let (_, &mut middle, _) = values.select_nth_unstable_by(root / 2, f64::total_cmp);
         self.pi[root] -= middle;
-        let mut node = self.next[root] as usize;
-        while node != root {
-            let above = self.pi[self.parent[node] as usize];
-            self.pi[node] = if node < self.n { above + self.cost[node] } else { above - self.cost[node] };
-            node = self.next[node] as usize;
-        }
+        self.refresh();
     }
 
     /// Mass still on artificial arcs.
     #[must_use]
     pub fn artificial_mass(&self) -> i64 {
         let root = (self.n + self.m) as u32;
-        (0..self.n).filter(|&i| self.parent[i] == root).map(|i| self.flow[i]).sum()
+        self.nodes[..self.n].iter().filter(|node| node.parent == root).map(|node| node.flow).sum()
     }
 
     /// The arcs of the tree that carry mass: `(row, column, mass)`, in order of their lower node.
     pub fn arcs(&self) -> impl Iterator<Item = (usize, usize, i64)> + '_ {
-        let root = (self.n + self.m) as u32;
-        (0..self.n + self.m).filter(move |&v| self.parent[v] != root && self.flow[v] > 0).map(|v| {
-            let up = self.parent[v] as usize;
-            if v < self.n { (v, up - self.n, self.flow[v]) } else { (up, v - self.n, self.flow[v]) }
-        })
+        let root = self.n + self.m;
+        self.nodes[..root].iter().enumerate().filter(move |(_, at)| at.parent as usize != root && at.flow > 0).map(
+            |(v, at)| {
+                let up = at.parent as usize;
+                if v < self.n { (v, up - self.n, at.flow) } else { (up, v - self.n, at.flow) }
+            },
+        )
     }
 }
 
