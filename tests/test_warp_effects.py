@@ -1,13 +1,22 @@
 """Kernels of effects on Warp's CPU device, each against its numpy form in MujocoSimulator."""
 
+import pkgutil
+
 import numpy as np
 import pytest
+import warp as wp
 
+import nfpde.kernels
+from nfpde.benchmarks import ROBOTS
 from nfpde.effects import Effect, Quantity, effect, effect_names
+from nfpde.effects.registry import all_candidates
+from nfpde.effects.scales import DataScales
 from nfpde.errors import BadEffect
+from nfpde.sim import load_model
 from nfpde.sim.warp import WarpSimulator
+from nfpde.sim.warp_device import start_warp
 from nfpde.sim.warp_effects import COMMANDS, SENSORS, STEPS
-from tests.models import DOUBLE_PENDULUM, load, make_windows
+from tests.models import DOUBLE_PENDULUM, load, make_windows, record
 
 # Positions and velocities of a few units after 20 physics steps in single precision, friction switching on the way
 TOLERANCE = 5e-5
@@ -154,3 +163,27 @@ def test_effects_on_options_and_fields(name):
     expected = sim.reference.predict(xi, windows)
     assert np.abs(expected[:3] - expected[-1]).max() > 20 * TOLERANCE
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+
+
+def test_all_that_a_diagnosis_tries_on_a_robot_in_contact():
+    """Of every effect that only changes the model, one as a diagnosis would try it on a falling Hopper."""
+    model = load_model(ROBOTS["hopper"].path)
+    data = record(model, 1, 40, 4, seed=1)
+    tried = {e.name: e for e in all_candidates(model, DataScales.of(model, data))}
+    names = sorted(tried.keys() - COMMANDS.keys() - STEPS.keys() - SENSORS.keys() - MODEL_CASES.keys())
+    assert len(names) > 5
+    windows = data.windows(1, stride=5)
+    for name in names:
+        sim = WarpSimulator(model, None, [tried[name]], device="warp-cpu", check_influence=False)
+        xi = sim.space.uniform(2, np.random.default_rng(0))
+        square = ((sim.predict(xi, windows) - sim.reference.predict(xi, windows)) ** 2).sum((2, 3))
+        # as for the robots themselves, see test_warp
+        assert square.max() < 1e-6, name
+
+
+@pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(nfpde.kernels.__path__)])
+def test_kernels_compile_for_a_gpu(module, tmp_path):
+    """NVRTC needs no GPU: every kernel becomes a cubin of compute capability 9.0."""
+    start_warp()
+    wp.compile_aot_module(f"nfpde.kernels.{module}", device=None, arch=90, module_dir=tmp_path)
+    assert [f for f in tmp_path.iterdir() if f.suffix == ".cubin" and f.stat().st_size > 1000]
