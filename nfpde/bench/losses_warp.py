@@ -176,7 +176,7 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             "One evaluation: set a recorded state and command, take one control step (4 or 5 physics steps), add up",
             "the loss; wall clock, from parameters in the host's memory to losses there. Bare: MuJoCo Warp's step",
-            "alone, with as many worlds at once, one model, captured. CPU: the double-precision simulator on all cores.",
+            "alone, with as many worlds at once, one model, captured. CPU: double precision on all cores.",
             "",
             "| robot | pairs | worlds at once | losses/s | bare/s | share | CPU losses/s | times CPU | GiB predicted "
             "| GiB used |",
