@@ -70,7 +70,7 @@ def test_density_of_a_mixture_is_scipys():
         np.log(w) + multivariate_normal(m, c).logpdf(z)
         for w, m, c in zip(g.weights, g.means, g.covariances, strict=True)
     ]
-    np.testing.assert_allclose(g.log_density(z), logsumexp(parts, axis=0), rtol=1e-10)
+    np.testing.assert_allclose(g.log_density(z), np.asarray(logsumexp(parts, axis=0)), rtol=1e-10)
 
 
 def test_draws_have_the_moments_of_the_mixture():
@@ -96,7 +96,7 @@ def test_posterior_with_a_population_for_prior_is_bayes_rule():
     axis = np.linspace(-8, 8, 400)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     logs = quadratic.log_likelihood(grid) + population.log_density(grid)
-    exact = np.exp(logs - logsumexp(logs)) / (axis[1] - axis[0]) ** 2
+    exact = np.exp(logs - np.asarray(logsumexp(logs))) / (axis[1] - axis[0]) ** 2
     # sums over a grid far finer than anything in the integrand are exact to rounding
     np.testing.assert_allclose(np.exp(quadratic.times(population).log_density(grid)), exact, atol=1e-9)
 

@@ -41,7 +41,7 @@ def command(
     ] = None,
     windows: Annotated[
         int | None,
-        typer.Option(min=40, help="windows used of each half; more are slower and surer [default: 80 to 200]"),
+        typer.Option(min=40, help="windows used of each half, 80 to 160 if not given: more are slower and surer"),
     ] = None,
     seed: Annotated[int, typer.Option(help="decides which episodes are held out")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,

@@ -48,7 +48,7 @@ def diagnose_gap(
         dataset: Recordings of one robot, best several episodes.
         space: Parameters that are free, with bounds; None where the model's own are trusted.
         seed: Decides which episodes are held out, and all draws.
-        windows: Windows used of each half, at most; None: 80 to 200, fewer for models with many degrees of freedom.
+        windows: Windows used of each half, at most; None: 80 to 160, fewer for models with many degrees of freedom.
         nthread: Threads; 0 takes all cores this process may use.
         report: Called with what is being done.
 

@@ -82,7 +82,13 @@ class Selection:
             accepted.append(new)
             if len(accepted) > 1:
                 current, accepted = self._second_look(base, current, accepted, first_gap)
-        return current, accepted
+        return (self._polish(current) if accepted else current), accepted
+
+    def _polish(self, trial: Trial) -> Trial:
+        """The accepted effects and the parameters fitted once more, all slopes renewed at every step."""
+        fit = self.court.settle(trial.fit, iterations=6)
+        self._count(fit.replay)
+        return self.court.judge(None, fit)
 
     def _at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much."""
@@ -128,12 +134,15 @@ class Selection:
         if gain <= 0 or p > LEVEL / len(trials):
             return None
         block = self.court.recordings.block
-        equal = []
+        near, equal = [], []
         for trial in trials:
-            behind, _, apart = block_test(best.density - trial.density, block)
-            if apart > APART or behind < NEGLIGIBLE * gain:
+            behind, error, apart = block_test(best.density - trial.density, block)
+            if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
+                near.append(trial)
+            if apart > APART or trial in near:
                 equal.append(trial)
-        chosen = min(equal, key=lambda t: (len(_parameters(t)), -t.density.mean()))
+        # within the standard error of the best, the one with fewest parameters
+        chosen = min(near, key=lambda t: (len(_parameters(t)), -t.density.mean()))
         removed = float(self.yardstick.gap(current.held).mean() - self.yardstick.gap(chosen.held).mean())
         if chosen.effect is None or removed < WORTH * first_gap:
             return None
