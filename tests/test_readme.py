@@ -1,6 +1,7 @@
 """The README's promises: its Python runs, its commands exist, its files are there."""
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,12 @@ def test_python_of_the_readme_runs_in_order(tmp_path, monkeypatch):
     """Every Python block runs, after the ones before it, on a recorded Hopper."""
     hopper = robot("hopper")
     (tmp_path / "hopper.xml").write_text(hopper.path.read_text())
-    nfpde.save_dataset(collect(hopper, "gaussian", episodes=2)[0], tmp_path / "logs.npz")
+    nfpde.save_dataset(collect(hopper, "gaussian", episodes=12)[0], tmp_path / "logs.npz")
     monkeypatch.chdir(tmp_path)
     smallest = nfpde.TrajectoryConfig(starts=1, steps=1, rounds=1, draws=4, population_rounds=1)
     full = nfpde.fit
     monkeypatch.setattr(nfpde, "fit", lambda *a, **k: full(*a, **{"config": smallest, "quiet": True, **k}))
+    monkeypatch.setattr(nfpde, "diagnose_gap", partial(nfpde.diagnose_gap, windows=20))
     rng = np.random.default_rng(0)
     scope: dict[str, Any] = {"x": rng.normal(size=(5, 2)), "y": rng.normal(size=(7, 2))}
     code = blocks("python")
