@@ -351,6 +351,8 @@ main()
 def test_ctrl_c(folder, tmp_path):
     """An interrupted fit ends with one line that says how to go on; the same command then does."""
     arguments = ["fit", "hopper", str(folder / "data"), "--out", str(tmp_path / "fit"), *TINY, "--iterations", "40"]
+    # a shell that started the tests in the background may have told its children to ignore interrupts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen([sys.executable, "-c", COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     started = time.monotonic()
     while not (tmp_path / "fit" / "checkpoint" / "state.safetensors").exists():

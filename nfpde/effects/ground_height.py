@@ -53,9 +53,9 @@ class GroundHeight(Effect):
         return bound
 
     def screened(self, scales: DataScales) -> Array:
-        """A little and more, up and down."""
+        """A little and more, up and down: contacts are no mirror images."""
         far = self.parameters[0].high
-        return far * np.array([[0.01], [0.1], [-0.03]])
+        return far * np.array([[0.006], [0.03], [-0.006], [-0.03]])
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Raise the ground."""

@@ -78,8 +78,19 @@ class DataScales:
             ctrl=_positive(_rms(ctrl)),
             ctrl_spread=_positive(ctrl.std(0)),
             actuator_force=_positive(_rms(np.array(drives))),
-            length=float(max(model.stat.extent, 1e-3)),
+            length=_size(model),
         )
+
+
+def _size(model: mujoco.MjModel) -> float:
+    """Largest extent [m] along an axis of all geoms that move, at the reference position."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0)
+    if not len(moving):
+        return max(float(model.stat.extent), 1e-3)
+    centre, reach = data.geom_xpos[moving], model.geom_rbound[moving, None]
+    return max(float(((centre + reach).max(0) - (centre - reach).min(0)).max()), 1e-3)
 
 
 def _rms(values: Array) -> Array:

@@ -106,9 +106,9 @@ def _base_fit(start: Replay, recordings: Recordings) -> tuple[Array, Trial, Cour
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
     for _ in range(2):
-        court = Court(recordings, fitter, floor_of(fit.residuals, moved))
+        court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
         fit = court.settle(fit, rounds=1, iterations=5)
-    court = Court(recordings, fitter, floor_of(fit.residuals, moved))
+    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
     nominal = start.residuals(guesses[:1], recordings.held, recordings.horizons)[0]
     fit = fitter.rescale(fit, court.scatter(fit))
     return nominal, court.judge(None, fit), court

@@ -19,6 +19,8 @@ from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
 
+_SIZES = (0.4, 1.0, 2.0, 3.5)
+
 _MOST_SCALE = 1.5
 """How far beyond a screened magnitude the linear scale may go."""
 
@@ -62,6 +64,7 @@ def screen(
     residual = (white * root).ravel()
     span = _span(base, root)
     residual = residual - span @ (span.T @ residual)
+    own = base.scatter.log_density(base.residuals).sum()
     found = []
     for done, (effect, values) in enumerate(candidates):
         replay = replay_with(effect)
@@ -70,7 +73,8 @@ def screen(
         changes = (base.scatter.whiten(there) - white) * root
         changes = changes.reshape(len(values), -1)
         changes = changes - (changes @ span) @ span.T
-        found.append(_judge(effect, replay, values, residual, changes))
+        gain = float((base.scatter.log_density(there).sum(-1) - own).max())
+        found.append(_judge(effect, replay, values, residual, changes, gain))
         report(done + 1)
     return sorted(found, key=lambda s: -s.explained)
 
@@ -87,8 +91,11 @@ def _span(base: Fit, root: Array) -> Array:
     return left[:, size > 1e-7]
 
 
-def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, changes: Array) -> Screened:
-    """Best scaling of one change, and of all together."""
+def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, changes: Array, gain: float) -> Screened:
+    """Best scaling of one change, and of all together; or what the best value gained as it is, if that is more.
+
+    Contacts open and close: what an effect does there is no multiple of what it does at another size.
+    """
     neutral = np.array([q.neutral for q in effect.quantities])
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
     decisive = [i for i, q in enumerate(effect.quantities) if not q.shape_only]
@@ -99,10 +106,10 @@ def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, chang
     scale = np.clip(along / np.maximum(norms, 1e-300), least, _MOST_SCALE)
     single = scale * along - 0.5 * scale**2 * norms
     best = int(single.argmax())
-    guesses = [values[best]] if scale[best] > 0 else [neutral - (values[best] - neutral)]
+    guesses = [*values] if scale[best] > 0 else [*values, neutral - (values[best] - neutral)]
     reachable = bool(((neutral >= low) & (neutral <= high)).all())  # some are neutral at infinity only
-    if reachable:
-        guesses.append(neutral + scale[best] * (values[best] - neutral))
+    if reachable:  # the change is not linear in the size: a few sizes about the best one
+        guesses += [neutral + f * scale[best] * (values[best] - neutral) for f in _SIZES]
     explained, change = float(single[best]), changes[best]
     if len(values) > 1 and explained > 0:
         gram = changes @ changes.T
@@ -121,5 +128,9 @@ def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, chang
     margin = 1e-3 * (high - low)
     length = float(np.linalg.norm(change))
     return Screened(
-        effect, replay, explained, np.clip(kept, low + margin, high - margin), change / length if length else change
+        effect,
+        replay,
+        max(explained, gain),
+        np.clip(kept, low + margin, high - margin),
+        change / length if length else change,
     )

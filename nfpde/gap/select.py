@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 MOST_EFFECTS = 3
 """Effects accepted at most."""
 
-WORTH = 0.01
+WORTH = 0.02
 """Share of the gap, as it was before any effect, that an effect must remove to be named: less is of no use."""
 
 FLOOR_ERROR = 0.1
@@ -38,11 +38,13 @@ class Accepted:
     effect: the effect
     trial: it and everything accepted before, when it was accepted
     rivals: other effects that explain the same there
+    field: all that were refitted there, it included
     """
 
     effect: Effect
     trial: Trial
     rivals: tuple[Trial, ...]
+    field: tuple[Trial, ...]
 
 
 @dataclass(eq=False)
@@ -70,12 +72,14 @@ class Selection:
         """Select; returns the final trial and the accepted effects in the order of their acceptance."""
         current, accepted = base, list[Accepted]()
         first_gap = float(self.yardstick.gap(base.held).mean())
-        while len(accepted) < MOST_EFFECTS and not (accepted and self._at_floor(current)):
+        for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
+            if len(accepted) == MOST_EFFECTS or (accepted and self._at_floor(current)):
+                break
             self.report(f"screening for effect {len(accepted) + 1}")
-            trials, screened = self._round(current, [a.effect for a in accepted])
+            trials = self._round(current, [a.effect for a in accepted])
             if not self.ranking:
                 self.ranking = trials
-            found = self._accept(current, trials, screened, first_gap)
+            found = self._accept(current, trials, first_gap)
             if found is None:
                 break
             current, new = found
@@ -106,7 +110,7 @@ class Selection:
         self._count(smaller)
         return self.court.judge(None, settled)
 
-    def _round(self, current: Trial, taken: Sequence[Effect]) -> tuple[list[Trial], list[Screened]]:
+    def _round(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
         base = self.court.fitter.linearise(current.fit)
         keys = {key(e) for e in taken}
         open_ones = [(e, values) for e, values in self.candidates if key(e) not in keys]
@@ -121,11 +125,23 @@ class Selection:
         trials = self.court.refit(base, screened)
         for replay in replays:
             self._count(replay)
-        return trials, screened
+        return trials
 
-    def _accept(
-        self, current: Trial, trials: Sequence[Trial], screened: Sequence[Screened], first_gap: float
-    ) -> tuple[Trial, Accepted] | None:
+    def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
+        """Effects that were refitted before, beside another base, from where they were."""
+        base = self.court.fitter.linearise(smaller.fit)
+        hopeful = []
+        for t in trials:
+            if t.effect is not None:
+                replay = self._replay([*base.replay.effects, t.effect])
+                values = t.fit.xi[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
+                hopeful.append(Screened(t.effect, replay, 1.0, values[None], np.zeros(0)))
+        found = self.court.refit(base, hopeful)
+        for s in hopeful:
+            self._count(s.replay)
+        return found
+
+    def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         best = trials[0] if trials else None
         if best is None:
@@ -146,7 +162,7 @@ class Selection:
         removed = float(self.yardstick.gap(current.held).mean() - self.yardstick.gap(chosen.held).mean())
         if chosen.effect is None or removed < WORTH * first_gap:
             return None
-        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen))
+        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))
 
     def _second_look(
         self, base: Trial, current: Trial, accepted: list[Accepted], first_gap: float
@@ -155,9 +171,11 @@ class Selection:
         for index in range(len(accepted) - 1):
             self.report(f"second look at effect {index + 1}")
             smaller = self.without(current, index)
-            others = [a.effect for i, a in enumerate(accepted) if i != index]
-            trials, screened = self._round(smaller, others)
-            found = self._accept(smaller, trials, screened, first_gap)
+            others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
+            trials = self._again(
+                smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others]
+            )
+            found = self._accept(smaller, trials, first_gap)
             if found is None:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]
             replaced, new = found

@@ -57,11 +57,16 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Court:
-    """Refits on one half of the recordings and judges on the other."""
+    """Refits on one half of the recordings and judges on the other.
+
+    floor: smallest residual believed (nv, C)
+    nominal: base parameters of the nominal model
+    """
 
     recordings: Recordings
     fitter: Fitter
     floor: Array
+    nominal: Array
 
     def screening(self, base: Fit) -> tuple[Fitter, Fit]:
         """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them."""
@@ -92,10 +97,14 @@ class Court:
             return []
         hopeful = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
         some, part = self.screening(base)
+        # without the effect the parameters may have been bent far from the truth to stand in for it
+        straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
         rough = []
         for s in hopeful:
-            guesses = np.hstack([np.broadcast_to(base.xi, (len(s.guesses), len(base.xi))), s.guesses])
-            fit = some.start(s.replay, guesses, base.scatter)
+            starts = [
+                np.hstack([np.broadcast_to(xi, (len(s.guesses), len(xi))), s.guesses]) for xi in (base.xi, straight)
+            ]
+            fit = some.start(s.replay, np.concatenate(starts), base.scatter)
             fit.slopes[: len(base.xi)] = part.slopes
             fit = some.improve(fit, 2, kept=len(base.xi))
             fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)

@@ -99,7 +99,9 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         gradient = linearise(problem, c, noise, active)
         scale = np.einsum("kii->ki", c.information[active])
         damping = c.damping[active, None] * _DAMPINGS
-        matrices = c.information[active, None] + damping[..., None, None] * (scale[:, None, :, None] * np.eye(d))
+        # at the end of its bounds a parameter has neither data nor prior left to hold its direction
+        ridge = 1e-13 * scale.max(1)[:, None, None] * np.eye(d)
+        matrices = c.information[active, None] + ridge[:, None] + damping[..., None, None] * (scale[:, None, :, None] * np.eye(d))
         steps = -np.linalg.solve(matrices, np.broadcast_to(gradient[:, None, :, None], (len(active), 3, d, 1)))[..., 0]
         trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
         flat = trials.reshape(-1, d)
@@ -107,7 +109,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         costs = _costs(residuals, flat, noise).reshape(-1, 3)
         best = costs.argmin(1)
         # what the undamped quadratic model still promises, in cost
-        newton = np.linalg.solve(c.information[active], gradient[..., None])[..., 0]
+        newton = np.linalg.solve(c.information[active] + ridge, gradient[..., None])[..., 0]
         promise = np.einsum("kd,kd->k", gradient, newton)
         for i, k in enumerate(active):
             if costs[i, best[i]] < c.cost[k]:
