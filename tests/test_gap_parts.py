@@ -158,11 +158,11 @@ def test_screening_is_a_projection_on_what_parameters_cannot_do():
     scatter = learn_scatter(first, 1, floor_of(first, first))
     base = fitter.linearise(fitter.start(start, np.array([[1.0]]), scatter))
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
-    values = np.array([[0.04]])
+    values = np.array([[0.4]])  # ten times too much: what is explained is a share of its change
     found = screen(fitter, base, [(friction, values)], lambda e: Replay(nominal(), space, [e]))[0]
     white = scatter.whiten(base.residuals)
     root = np.sqrt(scatter.weights(white))[..., None]
-    change = found.replay.residuals(np.array([[1.0, 0.04]]), cut.fit, cut.horizons)[0]
+    change = found.replay.residuals(np.array([[1.0, 0.4]]), cut.fit, cut.horizons)[0]
     columns = np.stack(
         [(scatter.whiten(base.slopes[0]) * root).ravel(), ((scatter.whiten(change) - white) * root).ravel()]
     )

@@ -101,7 +101,8 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         damping = c.damping[active, None] * _DAMPINGS
         # at the end of its bounds a parameter has neither data nor prior left to hold its direction
         ridge = 1e-13 * scale.max(1)[:, None, None] * np.eye(d)
-        matrices = c.information[active, None] + ridge[:, None] + damping[..., None, None] * (scale[:, None, :, None] * np.eye(d))
+        own = scale[:, None, :, None] * np.eye(d)
+        matrices = c.information[active, None] + ridge[:, None] + damping[..., None, None] * own
         steps = -np.linalg.solve(matrices, np.broadcast_to(gradient[:, None, :, None], (len(active), 3, d, 1)))[..., 0]
         trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
         flat = trials.reshape(-1, d)
