@@ -5,7 +5,7 @@ RUN := runs/demo
 export WARP_CACHE_PATH ?= $(CURDIR)/.cache/warp
 RUST := Cargo.toml rust_ot/Cargo.toml $(wildcard rust_ot/src/*.rs)
 
-.PHONY: demo test check bench format install clean
+.PHONY: demo test check bench bench-ot bench-estimation bench-gap format install clean
 
 demo: install  ## ten recorded Hopper episodes -> distribution -> distance to the truth, about three minutes
 	$(BIN)/nfpde collect hopper --target mixture --episodes 10 --out $(RUN)/data
@@ -26,6 +26,16 @@ check: install  ## style, types, import rules, documentation
 	$(BIN)/python -m pytest tests/test_architecture.py tests/test_readme.py
 	cargo fmt --check
 	cargo clippy --quiet --workspace --all-targets -- -D warnings
+
+bench-ot: install  ## exact optimal transport beside its peers
+	$(BIN)/nfpde bench ot
+
+bench-estimation: install  ## the estimators on all robots, hours; goes on where it stopped
+	$(BIN)/nfpde bench estimation
+	$(BIN)/nfpde bench estimation --calibration
+
+bench-gap: install  ## hidden faults against the diagnosis: make bench-gap SEED=<one never tried>
+	$(BIN)/nfpde bench gap --seed $(SEED)
 
 bench: install  ## the tables of docs/results
 	$(BIN)/nfpde bench losses
