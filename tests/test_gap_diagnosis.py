@@ -15,16 +15,20 @@ from tests.gap_systems import nominal, record
 MASS = ParameterSpace([Parameter("body_mass", "fore", low=0.6, high=1.6)])
 
 
+def weigh(model, factor):
+    model.body_mass[2] *= factor
+    model.body_inertia[2] *= factor
+
+
+def rub(model):
+    model.dof_frictionloss[1] = 0.2
+    weigh(model, 1.1)
+
+
 @pytest.fixture(scope="module")
 def friction():
     """Coulomb friction of 0.2 Nm at the elbow and a forearm that is a tenth too heavy, with sensor noise."""
-
-    def change(model):
-        model.dof_frictionloss[1] = 0.2
-        model.body_mass[2] *= 1.1
-        model.body_inertia[2] *= 1.1
-
-    return diagnose_gap(nominal(), record(change, noise=1e-3), MASS)
+    return diagnose_gap(nominal(), record(rub, noise=1e-3), MASS)
 
 
 def test_the_cause_is_named_with_its_value(friction):
@@ -63,26 +67,15 @@ def test_the_answer_for_machines(friction, tmp_path):
 
 def test_the_same_seed_gives_the_same_answer(friction):
     """Two runs agree in every number but the time they took."""
-
-    def change(model):
-        model.dof_frictionloss[1] = 0.2
-        model.body_mass[2] *= 1.1
-        model.body_inertia[2] *= 1.1
-
-    again = diagnose_gap(nominal(), record(change, noise=1e-3), MASS).to_json()
+    again = diagnose_gap(nominal(), record(rub, noise=1e-3), MASS).to_json()
     once = friction.to_json()
     again["seconds"] = once["seconds"]
     assert again == once
 
 
 def test_no_effect_where_there_is_none():
-    """A heavier forearm is a parameter, not an effect: no alarm."""
-
-    def change(model):
-        model.body_mass[2] *= 0.85
-        model.body_inertia[2] *= 0.85
-
-    found = diagnose_gap(nominal(), record(change, noise=2e-3, seed=1), MASS)
+    """A lighter forearm is a parameter, not an effect: no alarm."""
+    found = diagnose_gap(nominal(), record(lambda model: weigh(model, 0.85), noise=2e-3, seed=1), MASS)
     assert (found.verdict, found.effects) == ("no_gap", [])
     assert found.base["body_mass:fore"].value == pytest.approx(0.85, rel=0.01)
 

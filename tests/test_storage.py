@@ -1,12 +1,13 @@
 """Files that are whole or not there, and JSON files of a stated version."""
 
 import json
+import math
 import os
 
 import pytest
 
 from nfpde.errors import BadInput
-from nfpde.storage import read_json, write_whole
+from nfpde.storage import finite, read_json, write_whole
 
 
 def test_content_comes_back_and_nothing_else_is_left(tmp_path):
@@ -58,3 +59,9 @@ def test_the_right_version_is_read(tmp_path):
     content = {"schema_version": 2, "name": "Grüße", "values": [1.5, None]}
     write_whole(tmp_path / "a.json", json.dumps(content, ensure_ascii=False))
     assert read_json(tmp_path / "a.json", 2) == content
+
+
+def test_what_json_cannot_hold_becomes_null():
+    """Infinity and NaN at any depth become None; everything else stays as it is."""
+    value = {"a": [1.5, math.inf, (math.nan, "x")], "b": {"c": -math.inf, "d": None, "e": True}}
+    assert finite(value) == {"a": [1.5, None, [None, "x"]], "b": {"c": None, "d": None, "e": True}}

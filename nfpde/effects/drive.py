@@ -35,6 +35,18 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> int:
     return joint if is_axis(model, joint) else -1
 
 
+def driven_joints(model: mujoco.MjModel, actuators: Rows, where: str) -> Rows:
+    """The hinges and slides that actuators act on, one for each.
+
+    Raises:
+        BadEffect: an actuator that acts on anything else.
+    """
+    joints = np.array([driven_joint(model, int(i)) for i in actuators], dtype=np.intp)
+    if (joints < 0).any():
+        raise BadEffect(f"{where}: it needs actuators that act on a hinge or a slide")
+    return joints
+
+
 def is_plain(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator drives a hinge or slide with one command, without a state, by fixed or affine gain and bias.
 

@@ -8,11 +8,10 @@ from typing import Self
 import mujoco
 import numpy as np
 
+from nfpde.effects.drive import driven_joint, driven_joints
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
-from nfpde.elements import is_axis
-from nfpde.errors import BadEffect
 
 _FREE = 1e12
 """A limit that nothing reaches."""
@@ -35,7 +34,7 @@ class TorqueLimit(Effect):
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
         """From a tenth of the typical torque at the joint to ten times it."""
-        if element < 0 or _joint(model, element) < 0:
+        if element < 0 or driven_joint(model, element) < 0:
             return None
         torque = float(scales.actuator_force[element] * abs(model.actuator_gear[element, 0]))
         return {"limit": (0.1 * torque, 10 * torque)} if torque > 0 else None
@@ -52,10 +51,7 @@ class TorqueLimit(Effect):
             BadEffect: an actuator that acts on no hinge or slide.
         """
         bound = super().bind(model)
-        joints = [_joint(model, int(i)) for i in bound.ids]
-        if min(joints) < 0:
-            raise BadEffect(f"{self.name} on {self.target!r}: it needs actuators that act on a hinge or a slide")
-        bound.joints = np.array(joints, dtype=np.intp)
+        bound.joints = driven_joints(model, bound.ids, f"{self.name} on {self.target!r}")
         return bound
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
@@ -67,10 +63,3 @@ class TorqueLimit(Effect):
         own = np.where(limited, model.jnt_actfrcrange[self.joints], [-np.inf, np.inf])
         model.jnt_actfrcrange[self.joints] = np.clip(own, -limit, limit)
         model.jnt_actfrclimited[self.joints] = 1
-
-
-def _joint(model: mujoco.MjModel, actuator: int) -> int:
-    """The hinge or slide that an actuator acts on; -1 if it acts on something else."""
-    joint = int(model.actuator_trnid[actuator, 0])
-    on_joint = int(model.actuator_trntype[actuator]) in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    return joint if on_joint and is_axis(model, joint) else -1

@@ -8,12 +8,11 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.drive import driven_joint
+from nfpde.effects.drive import driven_joint, driven_joints
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import joint_dofs
-from nfpde.errors import BadEffect
 
 _FREE = 1e12
 """A speed, or a torque, that nothing reaches."""
@@ -67,10 +66,7 @@ class TorqueSpeed(Effect):
             BadEffect: an actuator that acts on no hinge or slide.
         """
         bound = super().bind(model)
-        joints = [driven_joint(model, int(i)) for i in bound.ids]
-        if min(joints) < 0:
-            raise BadEffect(f"{self.name} on {self.target!r}: it needs actuators that act on a hinge or a slide")
-        bound.joints = np.array(joints, dtype=np.intp)
+        bound.joints = driven_joints(model, bound.ids, f"{self.name} on {self.target!r}")
         bound.dofs = joint_dofs(model, bound.joints)
         return bound
 

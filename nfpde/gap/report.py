@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.storage import write_whole
+from nfpde.storage import finite, write_whole
 
 Array = NDArray[np.float64]
 Verdict = Literal["effects", "no_gap", "unexplained"]
@@ -203,20 +202,9 @@ class GapReport:
         """Write `diagnosis.json` into a folder; returns its path."""
         path = Path(folder) / "diagnosis.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps(_finite(self.to_json()), indent=1) + "\n")
+        write_whole(path, json.dumps(finite(self.to_json()), indent=1) + "\n")
         return path
 
 
 def _number(name: str) -> int | str:
     return int(name) if name.isdigit() else name
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity and no NaN: they become null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return value

@@ -85,7 +85,7 @@ class Selection:
             current, new = found
             accepted.append(new)
             if len(accepted) > 1:
-                current, accepted = self._second_look(base, current, accepted, first_gap)
+                current, accepted = self._second_look(current, accepted, first_gap)
         return (self._polish(current) if accepted else current), accepted
 
     def _polish(self, trial: Trial) -> Trial:
@@ -164,9 +164,7 @@ class Selection:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))
 
-    def _second_look(
-        self, base: Trial, current: Trial, accepted: list[Accepted], first_gap: float
-    ) -> tuple[Trial, list[Accepted]]:
+    def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
         for index in range(len(accepted) - 1):
             self.report(f"second look at effect {index + 1}")

@@ -22,7 +22,7 @@ from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
 from nfpde.errors import BadInput
 from nfpde.progress import progress
-from nfpde.storage import write_whole
+from nfpde.storage import finite, write_whole
 
 DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
 
@@ -140,17 +140,9 @@ def _facts(seed: int, cases: int, limit: float, quick: bool) -> dict[str, Any]:
 
 def _write(rows: list[Row], facts: dict[str, Any], out: Path, name: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    plain = [{k: _finite(v) for k, v in asdict(row).items()} for row in rows]
+    plain = [{k: finite(v) for k, v in asdict(row).items()} for row in rows]
     write_whole(out / f"{name}.json", json.dumps({**facts, "summary": summary(rows), "rows": plain}, indent=1))
     text = table(rows, facts, f"{name}.png")
     print(text)
     write_whole(out / f"{name}.md", text)
     draw_curve(rows, out / f"{name}.png")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -14,12 +15,12 @@ if TYPE_CHECKING:
     from nfpde.bench.gap.plant import Plant
 
 
-class _AngleTorque(Fault):
+class _AngleTorque(Fault, ABC):
     """A torque that depends on the joint's angle alone."""
 
+    @abstractmethod
     def law(self, angle: float) -> float:
         """The torque [Nm] at an angle [rad]."""
-        raise NotImplementedError
 
     def push(self, plant: Plant) -> None:
         """Exert it."""
