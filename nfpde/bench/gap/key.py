@@ -106,7 +106,7 @@ def measure(
         "robot": robot.name,
         "faults": described,
         "gap": gaps,
-        "noise_floor": gaps["true"] / gaps["nominal"],
+        "noise_floor": sizes.share(gaps["true"], gaps["nominal"]),
         "floor_by_step": by_step,
         "windows": len(at.starts),
         "actuators": moved,

@@ -133,8 +133,13 @@ def gap(errors: Array, scale: Array) -> float:
 def floor_by_step(floor: Array, before: Array, at: Windows) -> list[float]:
     """Share of the gap that the true robot leaves at each step, from the true and the nominal errors (W, H, C)."""
     scale = np.maximum(np.sqrt((before**2).mean(0)), LEAST * channel_spread(at))
-    left = ((floor / scale) ** 2).mean((0, 2))
-    return [float(x) for x in left / ((before / scale) ** 2).mean((0, 2))]
+    left, whole = (((errors / scale) ** 2).mean((0, 2)) for errors in (floor, before))
+    return [share(float(part), float(all_)) for part, all_ in zip(left, whole, strict=True)]
+
+
+def share(left: float, whole: float) -> float:
+    """What is left of a gap; all of it where there was none, as with a true model and perfect sensors."""
+    return left / whole if whole > 0 else 1.0
 
 
 def size(errors: Array, scale: Array, answers: Sequence[Array] = ()) -> float:
