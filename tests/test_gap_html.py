@@ -98,8 +98,8 @@ def test_page_tells_every_number(robots):
         "36.5 ± 2 nats",
         "stribeck_friction at elbow",
         "<1 min>",
-        "31 windows",
-        "212 windows",
+        "in contact",
+        "early",
         "body_mass[elbow]",
         "qvel elbow",
         "1, 4, walk & turn",
@@ -188,7 +188,7 @@ def test_report_of_nothing_is_still_a_page(tmp_path):
         sensor_noise={},
         held_out_episodes=[],
         gap=Level(1.0, float("nan"), float("inf"), 0.0),
-        gap_map=GapMap([], [], np.zeros((0, 0)), np.zeros(0, dtype=np.intp)),
+        gap_map=GapMap([], [], np.zeros((0, 0)), np.zeros((0, 0), dtype=np.intp), {}),
         model=model,
     )
     source = write_report(report, tmp_path).read_text()

@@ -97,9 +97,11 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     model = selection.model
     # what noise alone leaves, so that a gap that remains does not hide itself
     quiet = learn_scatter(outcome.yardstick.noise, 0, QUIET * selection.court.floor)
-    at_base = needed_forces(base.fit, recordings.held, recordings, quiet, outcome.typical)
+    noise = outcome.yardstick.noise
+    at_base = needed_forces(base.fit, recordings.held, recordings, quiet, outcome.typical, noise)
     forces = [
-        needed_forces(final.fit, w, recordings, quiet, outcome.typical) for w in (recordings.fit, recordings.held)
+        needed_forces(final.fit, w, recordings, quiet, outcome.typical, noise)
+        for w in (recordings.fit, recordings.held)
     ]
     left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
     gap = outcome.level(None)
@@ -108,7 +110,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     effects = _causes(outcome)
     ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
     found = gap_map(model, recordings.held, at_base)
-    where = places(found, model, recordings.held)
+    where = places(found)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
     parameters = _fitted(final.fit, slice(0, len(names)), names)
     for replay in {id(t.fit.replay): t.fit.replay for t in (base, final, *outcome.without)}.values():

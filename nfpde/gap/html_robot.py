@@ -10,6 +10,7 @@ from nfpde.gap.drawing import project
 from nfpde.gap.drawing_layout import Disc, Layout, lay_out
 from nfpde.gap.html_svg import percent, shade, text
 from nfpde.gap.report import GapMap, GapReport
+from nfpde.gap.words import WHEN
 
 
 def shares(report: GapReport) -> dict[str, float]:
@@ -28,7 +29,7 @@ def where(report: GapReport) -> str:
     ends = ", ".join(shade(t)[0] for t in np.linspace(0, 1, 6))
     top = max(d.share for d in layout.discs) if layout.discs else 0.0
     rows = "".join(
-        f"<li>{text(p.joint)}: <b>{percent(p.share)}</b>, densest in the regime: {text(p.regime)}</li>"
+        f"<li>{text(p.joint)}: <b>{percent(p.share)}</b>, most of all {text(WHEN.get(p.regime, p.regime))}</li>"
         for p in report.where[:3]
         if p.share > 0
     )
@@ -88,6 +89,15 @@ def _labels(disc: Disc, share: Mapping[str, float]) -> str:
     return "".join(out)
 
 
+_ASKED = {
+    "motion": "how the joint moves",
+    "command": "its drive",
+    "contact": "what it carries",
+    "time": "half of the recording",
+}
+"""What each group of regimes asks."""
+
+
 def gap_map(report: GapReport) -> str:
     """Joints by regimes, as a table whose cells are coloured by their share."""
     found: GapMap = report.gap_map
@@ -95,25 +105,38 @@ def gap_map(report: GapReport) -> str:
     if report.verdict == "no_gap" or not share.size or share.max() <= 0:
         return "<p>What is left is noise: its places mean nothing, and no map is drawn.</p>"
     top = float(share.max())
-    order = sorted(range(len(found.joints)), key=lambda j: -float(share[j].sum()))
+    whole = np.nan_to_num(found.part(next(iter(found.groups)))).sum(1)
+    order = np.argsort(-whole, kind="stable").tolist()
+    groups = "".join(
+        f'<th scope="colgroup" colspan="{n}" class="first">{text(_ASKED.get(g, g))}</th>'
+        for g, n in found.groups.items()
+    )
+    starts = np.cumsum([0, *found.groups.values()]).tolist()
+    edges = ["first" if r in starts else "" for r in range(len(found.regimes))]
     head = "".join(
-        f'<th scope="col">{text(r)}<br><small>{int(n)} windows</small></th>'
-        for r, n in zip(found.regimes, found.windows, strict=True)
+        f'<th scope="col" class="{edge}">{text(r)}</th>' for r, edge in zip(found.regimes, edges, strict=True)
     )
     body = "".join(
-        f'<tr><th scope="row">{text(found.joints[j])}</th>{"".join(_cell(float(v), top) for v in share[j])}'
-        f"<td><b>{percent(float(share[j].sum()))}</b></td></tr>"
+        f'<tr><th scope="row">{text(found.joints[j])}</th><td><b>{percent(float(whole[j]))}</b></td>'
+        + "".join(
+            _cell(float(v), top, int(n), edge) for v, n, edge in zip(share[j], found.windows[j], edges, strict=True)
+        )
+        + "</tr>"
         for j in order
     )
-    total = "".join(f"<td>{percent(float(v))}</td>" for v in share.sum(0))
+    total = "".join(f'<td class="{edge}">{percent(float(v))}</td>' for v, edge in zip(share.sum(0), edges, strict=True))
     return (
-        f'<div class="scroll"><table class="map"><thead><tr><th scope="col">joint</th>{head}<th scope="col">all</th>'
-        f'</tr></thead><tbody>{body}<tr><th scope="row">all joints</th>{total}<td></td></tr></tbody></table></div>'
+        '<p class="small soft">Each group of columns splits the whole gap by one question, so its columns add up to '
+        '"all". Before any effect, noise subtracted; the number of windows shows under the pointer.</p>'
+        f'<div class="scroll"><table class="map"><thead><tr><th rowspan="2" scope="col">joint</th><th rowspan="2" '
+        f'scope="col">all</th>{groups}</tr><tr>{head}</tr></thead><tbody>{body}<tr><th scope="row">all joints</th>'
+        f"<td><b>{percent(float(whole.sum()))}</b></td>{total}</tr></tbody></table></div>"
     )
 
 
-def _cell(value: float, top: float) -> str:
+def _cell(value: float, top: float, windows: int, edge: str) -> str:
+    note = f'title="{windows} windows"'
     if value < 0.0005:
-        return '<td class="soft">0</td>'
+        return f'<td class="soft {edge}" {note}>{"0" if windows else "–"}</td>'
     fill, ink = shade(value / top)
-    return f'<td style="background:{fill};color:{ink}">{percent(value)}</td>'
+    return f'<td class="{edge}" style="background:{fill};color:{ink}" {note}>{percent(value)}</td>'

@@ -49,6 +49,7 @@ white-space:nowrap}.ladder .label{max-width:230px}
 stroke-width:1.5;stroke-dasharray:8 4}.robot text{font-size:14.5px}.robot .much{font-weight:700}
 .robot .little{fill:var(--soft)}
 .scale{display:inline-block;width:120px;height:11px;border-radius:3px;vertical-align:middle;margin:0 7px}
+.map .first{border-left:3px solid var(--rule)}
 .map td,.map th{padding:6px 9px;border:1px solid var(--rule);text-align:center}.map th[scope=row]{text-align:left;
 color:var(--ink);font-size:.92rem}
 .card{background:var(--card);border-radius:8px;padding:10px 16px;margin:10px 0;max-width:84ch}

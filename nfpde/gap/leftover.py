@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.gap.noise import Scatter
 from nfpde.gap.recordings import Recordings
+from nfpde.gap.regimes import joint_columns
 from nfpde.gap.report import ResidualForce
 from nfpde.gap.trial import block_test
-from nfpde.gap.where import Forces, joint_columns
+from nfpde.gap.where import Forces
 
 Array = NDArray[np.float64]
 
@@ -107,10 +108,13 @@ def _features(inputs: list[Array], knots: list[Array]) -> Array:
 
 def _ridge(features: Array, force: Array, error: Array) -> Array:
     """Ridge regression with weights from the errors, its strength by generalised cross-validation."""
-    spread = max(float(np.median(np.abs(force))), 1e-300)
-    weight = 1.0 / np.hypot(error, spread)
     limit = np.quantile(np.abs(force), 0.98)
-    a, y = features * weight[:, None], np.clip(force, -limit, limit) * weight
+    calm = np.clip(force, -limit, limit)
+    spread = float(np.sqrt((calm**2).mean()))
+    if spread == 0.0:
+        return np.zeros(features.shape[1])
+    weight = 1.0 / np.hypot(error / spread, 1.0)
+    a, y = features * weight[:, None], calm * weight
     u, s, vt = np.linalg.svd(a, full_matrices=False)
     best, answer = np.inf, np.zeros(features.shape[1])
     for strength in _RIDGES * max(float(s[0]) ** 2 / len(y), 1e-300):

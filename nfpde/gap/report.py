@@ -68,7 +68,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Place:
-    """A joint's share of the gap, noise subtracted, and the regime in which most of it lies."""
+    """A joint's share of the gap, noise subtracted, and the regime that its gap singles out."""
 
     joint: str
     share: float
@@ -87,15 +87,38 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class GapMap:
-    """Shares of the gap by joint (rows) and regime (columns), noise subtracted; they sum to 1.
+    """Shares of the gap by joint (rows) and regime (columns), noise subtracted.
 
-    windows: number of held-out windows in each regime (regimes,)
+    The columns stand in groups, each of which sorts all windows by one question (how the joint moves, what it
+    touches, ...) and so splits the same whole: the shares of a group sum to 1.
+
+    joints: names (joints,); regimes: names (regimes,)
+    share: (joints, regimes)
+    windows: number of held-out windows (joints, regimes)
+    groups: columns of each group by its name, in order; the first is "motion"
     """
 
     joints: Sequence[str]
     regimes: Sequence[str]
     share: Array
     windows: NDArray[np.intp]
+    groups: Mapping[str, int]
+
+    def part(self, group: str) -> Array:
+        """Shares of one group (joints, its regimes)."""
+        names = list(self.groups)
+        first = sum(self.groups[n] for n in names[: names.index(group)])
+        return self.share[:, first : first + self.groups[group]]
+
+    def to_json(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Shares by group, joint and regime."""
+        out, first = {}, 0
+        for group, count in self.groups.items():
+            names = self.regimes[first : first + count]
+            rows = zip(self.joints, self.share[:, first : first + count].tolist(), strict=True)
+            out[group] = {joint: dict(zip(names, row, strict=True)) for joint, row in rows}
+            first += count
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +208,7 @@ class GapReport:
             "effects": [asdict(c) for c in self.effects],
             "ranking": [asdict(c) for c in self.ranking],
             "where": [asdict(p) for p in self.where],
+            "gap_map": self.gap_map.to_json(),
             "gap": gap,
             "ladder": [{"label": label, "gap": value} for label, value in self.ladder],
             "parameters": {name: asdict(value) for name, value in self.base.items()},

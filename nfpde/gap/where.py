@@ -1,4 +1,4 @@
-"""Where the gap lies: the generalized force that each joint would need in each window, by what the joint is doing."""
+"""Where the gap lies: the generalized force that each joint would need in each window, sorted by regime."""
 
 from __future__ import annotations
 
@@ -9,19 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.elements import element_names, joint_dofs
 from nfpde.gap.fit import Fit
 from nfpde.gap.noise import Scatter
 from nfpde.gap.recordings import Recordings
+from nfpde.gap.regimes import Question, joint_columns, questions
 from nfpde.gap.report import GapMap, Place
 
 Array = NDArray[np.float64]
-
-REGIMES = ("rest", "reversal", "slow", "fast")
-"""What a joint does in a window: hardly moves, turns round, moves below or above its typical speed."""
-
-_REST = 0.05
-"""A joint rests where its speed stays below this share of its highest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +33,12 @@ class Forces:
     energy: Array
 
 
-def needed_forces(fit: Fit, windows: Windows, recordings: Recordings, noise: Scatter, typical: Array) -> Forces:
+def needed_forces(
+    fit: Fit, windows: Windows, recordings: Recordings, noise: Scatter, typical: Array, quiet: Array | None = None
+) -> Forces:
     """The forces that a fitted replay lacks in every window.
+
+    Every window counts in full: weights that distrust large residuals would hide a fault that shows in few windows.
 
     Args:
         fit: The fitted replay.
@@ -48,6 +46,7 @@ def needed_forces(fit: Fit, windows: Windows, recordings: Recordings, noise: Sca
         recordings: Horizons to compare at.
         noise: Scatter of the residuals when nothing is missing.
         typical: Typical generalized forces (nv,): the size of the probing force.
+        quiet: Residuals that noise alone gives (N, nv, C), where the scatter has a floor above them.
     """
     nv = fit.replay.nv
     probe = 0.05 * np.maximum(typical, 1e-3 * typical.max(initial=0.0) + 1e-9)
@@ -57,64 +56,62 @@ def needed_forces(fit: Fit, windows: Windows, recordings: Recordings, noise: Sca
     residual = there[0]
     response = (there[1:] - residual) / probe[:, None, None, None]
     response[~np.isfinite(response)] = 0.0
-    white = noise.whiten(residual)
-    root = np.sqrt(noise.weights(white))[..., None]
-    rows = (white * root).reshape(len(windows), -1)
-    columns = np.stack([(noise.whiten(r) * root).reshape(len(windows), -1) for r in response], axis=2)
+    rows = noise.whiten(residual).reshape(len(windows), -1)
+    columns = np.stack([noise.whiten(r).reshape(len(windows), -1) for r in response], axis=2)
     information = np.einsum("nca,ncb->nab", columns, columns)
     own = np.einsum("naa->na", information)
     ridge = 1e-6 * own.max(1, initial=1e-300)
     inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(nv))
     value = -np.einsum("nab,ncb,nc->na", inverse, columns, rows)
-    variance = np.einsum("naa->na", inverse)
+    variance = np.einsum("naa->na", inverse) * (1.0 if quiet is None else _loudness(noise.whiten(quiet)))
     return Forces(value, np.sqrt(variance), response, (value**2 - variance) * own)
 
 
-def joint_columns(model: mujoco.MjModel) -> tuple[list[str], list[NDArray[np.intp]]]:
-    """Names of the joints and their degrees of freedom."""
-    names = element_names(model, "joint")
-    return names, [joint_dofs(model, np.array([j])) for j in range(len(names))]
-
-
-def regimes_of(model: mujoco.MjModel, windows: Windows) -> NDArray[np.intp]:
-    """What every joint does in every window, as an index of `REGIMES` (N, joints)."""
-    speed = windows.state[:, :, model.nq :]
-    _, columns = joint_columns(model)
-    out = np.empty((len(windows), len(columns)), dtype=np.intp)
-    for j, dofs in enumerate(columns):
-        v = speed[:, :, dofs]
-        size = np.linalg.norm(v, axis=2)
-        rest = size.max(1) < _REST * size.max()
-        turns = (v.min(1) < 0).any(1) & (v.max(1) > 0).any(1)
-        slow = size.mean(1) < np.sqrt((size**2).mean())
-        out[:, j] = np.select([rest, turns, slow], [0, 1, 2], 3)
-    return out
+def _loudness(white: Array) -> Array:
+    """Mean square of white noise (N, nv, C) by degree of freedom, its largest fiftieth capped (nv,)."""
+    squares = (white**2).mean(2)
+    return np.minimum(squares, np.quantile(squares, 0.98, axis=0)).mean(0)
 
 
 def gap_map(model: mujoco.MjModel, windows: Windows, forces: Forces) -> GapMap:
     """Shares of the gap by joint and regime; energies below zero (nothing but noise) count as none."""
     names, columns = joint_columns(model)
-    regime = regimes_of(model, windows)
-    share = np.zeros((len(names), len(REGIMES)))
-    count = np.zeros(len(REGIMES), dtype=np.intp)
-    for j, dofs in enumerate(columns):
-        energy = forces.energy[:, dofs].sum(1)
-        energy = np.minimum(energy, np.quantile(energy, 0.98))
-        for r in range(len(REGIMES)):
-            share[j, r] = max(float(energy[regime[:, j] == r].sum()), 0.0)
-            count[r] += int((regime[:, j] == r).sum())
-    total = share.sum()
-    return GapMap(names, REGIMES, share / total if total > 0 else share, count)
+    asked = questions(model, windows)
+    energy = np.stack([forces.energy[:, dofs].sum(1) for dofs in columns], axis=1)
+    energy = np.minimum(energy, np.quantile(energy, 0.98, axis=0))
+    parts = [_sums(energy, q) for q in asked]
+    count = [np.stack([(q.of == r).sum(0) for r in range(len(q.answers))], axis=1) for q in asked]
+    joint = parts[0].sum(1)
+    # every question splits the same share of a joint; where noise leaves it no sum above zero, by windows
+    for i in range(1, len(parts)):
+        none = parts[i].sum(1) <= 0
+        parts[i][none] = count[i][none]
+        parts[i] *= (joint / np.maximum(parts[i].sum(1), 1e-300))[:, None]
+    share = np.hstack(parts)
+    total = joint.sum()
+    groups = {q.name: len(q.answers) for q in asked}
+    regimes = [a for q in asked for a in q.answers]
+    return GapMap(names, regimes, share / total if total > 0 else share, np.hstack(count), groups)
 
 
-def places(found: GapMap, model: mujoco.MjModel, windows: Windows) -> list[Place]:
-    """Joints by share, each with the regime where its gap is densest among those that hold a fair part of it."""
-    regime = regimes_of(model, windows)
+def _sums(energy: Array, question: Question) -> Array:
+    """Energy (N, joints) by joint and regime, none below zero (joints, regimes)."""
+    sums = [np.where(question.of == r, energy, 0.0).sum(0) for r in range(len(question.answers))]
+    return np.maximum(np.stack(sums, axis=1), 0.0)
+
+
+def places(found: GapMap) -> list[Place]:
+    """Joints by share, each with the regime that its gap singles out.
+
+    That is the regime with most of p log(p / q), where p is its part of the joint's gap and q its part of the windows:
+    one that holds much of the gap in few windows.
+    """
     out = []
+    names = list(found.groups)
     for j, name in enumerate(found.joints):
-        row = found.share[j]
-        count = np.array([(regime[:, j] == r).sum() for r in range(len(row))])
-        fair = row >= 0.2 * max(float(row.sum()), 1e-300)
-        density = np.where(fair, row / np.maximum(count, 1), -1.0)
-        out.append(Place(name, float(row.sum()), found.regimes[int(density.argmax())]))
+        share = float(found.part(names[0])[j].sum())
+        p = found.share[j] / max(share, 1e-300)
+        q = found.windows[j] * len(names) / max(float(found.windows[j].sum()), 1.0)
+        told = np.where(p > 0, p * np.log(np.maximum(p, 1e-300) / np.maximum(q, 1e-300)), 0.0)
+        out.append(Place(name, share, found.regimes[int(told.argmax())]))
     return sorted(out, key=lambda p: -p.share)

@@ -6,6 +6,21 @@ from collections.abc import Sequence
 
 from nfpde.gap.report import Cause, Fitted, Level, Place, ResidualForce, Verdict
 
+WHEN = {
+    "rest": "where it hardly moves",
+    "reversal": "where it turns round",
+    "slow": "in slow motion",
+    "fast": "in fast motion",
+    "saturated": "where its drive is at its limit",
+    "within limits": "where its drive is within its limits",
+    "in contact": "while in contact",
+    "contact changes": "where contact is made or lost",
+    "in flight": "without contact",
+    "early": "early in the recordings",
+    "late": "late in the recordings",
+}
+"""What regimes are, in a sentence."""
+
 
 def summary(
     verdict: Verdict,
@@ -19,7 +34,7 @@ def summary(
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
         top = where[0]
-        lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, densest in the regime: {top.regime}.")
+        lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, most of all {WHEN.get(top.regime, top.regime)}.")
     if base and gap.after_parameters < 0.98 * gap.before:
         lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
     lines += [_cause(c) for c in effects]
