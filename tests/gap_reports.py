@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from nfpde.elements import element_names
-from nfpde.gap import Cause, Fitted, GapMap, GapReport, Level, Place, ResidualForce, Rival, Trace
+from nfpde.gap import Cause, Distance, Fitted, GapMap, GapReport, Level, Place, ResidualForce, Rival, Trace
 
 TWO_LINKS = """
 <mujoco>
@@ -122,6 +122,7 @@ def gap_report(model, verdict, *, seed=3):
         where=where,
         gap=Level(1.0, fitted, left, 0.0102),
         horizons=horizons,
+        distance=Distance(0.4321, 0.3456, 0.0567, 0.0123, 160),
         base={
             f"body_mass[{worst}]": Fitted(1.234, 1.2, 1.27, "kg"),
             "dof_damping[*]": Fitted(0.5, 0.41, 0.5, "Nms/rad", at_bound=True),

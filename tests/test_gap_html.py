@@ -98,6 +98,8 @@ def test_page_tells_every_number(robots):
         "36.5 ± 2 nats",
         "stribeck_friction at elbow",
         "<1 min>",
+        "nominal model0.432+ parameters0.346+ effects0.0567noise floor0.0123",
+        "over 160 held-out windows",
         "in contact",
         "early",
         "body_mass[elbow]",

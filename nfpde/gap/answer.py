@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.effects import Effect
+from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
 from nfpde.gap.levels import Yardstick, shrink_interval
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings
-from nfpde.gap.report import Cause, Fitted, GapReport, Level, Rival, Trace, Verdict
+from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
 from nfpde.gap.select import Accepted, Selection, key
 from nfpde.gap.separate import separating_experiment
 from nfpde.gap.trial import Trial
@@ -78,6 +79,16 @@ class Outcome:
         unit = max(gaps[0], 1e-300)
         return Level(1.0, *(g / unit for g in gaps[1:]))
 
+    def distance(self) -> Distance:
+        """How far apart recorded and simulated states lie at the windows' ends."""
+        base, final, held = self.base.fit, self.final.fit, self.recordings.held
+        nominal = self.selection.court.nominal[None]
+        at = [(base.replay, nominal), (base.replay, base.xi[None]), (final.replay, final.xi[None])]
+        ends = [replay.predict(xi, held)[0, :, -1] for replay, xi in at]
+        count = len(self.recordings.horizons)
+        noise = np.concatenate([self.yardstick.noise[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
+        return distance(base.replay.sim.states, held, ends, noise)
+
     def cause(self, effect: Effect, fit: Fit, before: Trial, after: Trial) -> Cause:
         """An effect as it stands in a fit; `before` and `after` are the models without and with it."""
         index = [key(e) for e in fit.replay.effects].index(key(effect))
@@ -113,6 +124,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     where = places(found)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
     parameters = _fitted(final.fit, slice(0, len(names)), names)
+    apart, ahead = outcome.distance(), recordings.horizons[-1] * outcome.dataset.control_dt
     for replay in {id(t.fit.replay): t.fit.replay for t in (base, final, *outcome.without)}.values():
         selection.steps += replay.sim.simulated_steps
     return GapReport(
@@ -122,9 +134,10 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
         where=where,
         gap=gap,
         horizons={h: outcome.level(i) for i, h in enumerate(recordings.horizons)},
+        distance=apart,
         base=parameters,
         ladder=_ladder(outcome, gap),
-        summary=summary(verdict, gap, effects, where, parameters, force),
+        summary=summary(verdict, gap, effects, where, parameters, force, apart, ahead),
         gap_map=found,
         traces=_traces(outcome),
         residual_force=force,

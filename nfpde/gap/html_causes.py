@@ -52,6 +52,20 @@ def ladder(report: GapReport) -> str:
     )
 
 
+def distance(report: GapReport) -> str:
+    """How far apart recorded and simulated states lie as distributions."""
+    found = report.distance
+    rungs = [("nominal model", found.before), ("+ parameters", found.after_parameters)]
+    rungs += [("+ effects", found.after_effects)] if report.effects else []
+    rows = [[text(label), f"<b>{number(v, 3)}</b>"] for label, v in [*rungs, ("noise floor", found.noise_floor)]]
+    ahead = max(report.horizons, default=0) * report.control_dt
+    return (
+        f"{table(['simulated with', 'distance'], rows)}<p class='small soft'>Wasserstein distance between the states "
+        f"recorded and predicted {number(ahead)} s ahead, over {found.windows} held-out windows; each channel is in "
+        "units of its own standard deviation.</p>"
+    )
+
+
 def _along(value: float, low: float, high: float) -> float:
     """Place of a value on the scale, in percent."""
     if not math.isfinite(value):

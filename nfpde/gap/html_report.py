@@ -8,7 +8,7 @@ import mujoco
 
 from nfpde.elements import element_names
 from nfpde.gap.drawing_summary import draw_summary
-from nfpde.gap.html_causes import called, fitted, ladder, ranking, rivals
+from nfpde.gap.html_causes import called, distance, fitted, ladder, ranking, rivals
 from nfpde.gap.html_curves import horizons, residual_force, traces
 from nfpde.gap.html_robot import gap_map, where
 from nfpde.gap.html_style import STYLE
@@ -48,7 +48,11 @@ def write_report(report: GapReport, folder: Path | str) -> Path:
 def page(report: GapReport) -> str:
     """The whole page."""
     sections = [
-        ("How far the gap shrinks", f"{ladder(report)}<h2>The gap at every horizon</h2>{horizons(report)}"),
+        (
+            "How far the gap shrinks",
+            f"{ladder(report)}<h2>The gap at every horizon</h2>{horizons(report)}<h2>Distance between recorded and "
+            f"simulated states</h2>{distance(report)}",
+        ),
         ("Where it lies", where(report)),
     ]
     columns = "".join(f"<section><h2>{title}</h2>{body}</section>" for title, body in sections)

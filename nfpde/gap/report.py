@@ -85,6 +85,22 @@ class Level:
     noise_floor: float
 
 
+@dataclass(frozen=True)
+class Distance:
+    """Distances between recorded and simulated states at the ends of held-out windows, by optimal transport.
+
+    Of order 1, in standard deviations of the recorded states; the ladder's rungs as in `Level`, but not relative.
+
+    windows: number of windows compared
+    """
+
+    before: float
+    after_parameters: float
+    after_effects: float
+    noise_floor: float
+    windows: int
+
+
 @dataclass(frozen=True, eq=False)
 class GapMap:
     """Shares of the gap by joint (rows) and regime (columns), noise subtracted.
@@ -168,6 +184,7 @@ class GapReport:
         ranking: Every candidate that was refitted in the first round, best first.
         where: Joints by their share of the gap.
         gap: The ladder over all horizons; `horizons` the same for each, in control steps.
+        distance: How far apart recorded and simulated states lie as distributions, at the longest horizon.
         base: Fitted base parameters, by name, with all accepted effects in place.
         ladder: Labels and values from the nominal model to the noise floor.
         summary: Plain words.
@@ -182,6 +199,7 @@ class GapReport:
     where: Sequence[Place]
     gap: Level
     horizons: Mapping[int, Level]
+    distance: Distance
     base: Mapping[str, Fitted]
     ladder: Sequence[tuple[str, float]]
     summary: Sequence[str]
@@ -200,6 +218,7 @@ class GapReport:
     def to_json(self) -> dict[str, Any]:
         """The contract of diagnosis.json, schema 1, as plain JSON values."""
         gap = asdict(self.gap)
+        gap["distance"] = asdict(self.distance)
         gap["horizons"] = {str(h): asdict(level) for h, level in self.horizons.items()}
         force = self.residual_force
         return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nfpde.gap.report import Cause, Fitted, Level, Place, ResidualForce, Verdict
+from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
 
 WHEN = {
     "rest": "where it hardly moves",
@@ -29,8 +29,10 @@ def summary(
     where: Sequence[Place],
     base: dict[str, Fitted],
     force: ResidualForce | None,
+    apart: Distance,
+    ahead: float,
 ) -> list[str]:
-    """Sentences that a roboticist can act on."""
+    """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on."""
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
         top = where[0]
@@ -38,6 +40,13 @@ def summary(
     if base and gap.after_parameters < 0.98 * gap.before:
         lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
     lines += [_cause(c) for c in effects]
+    if verdict != "no_gap" and apart.before > apart.noise_floor:
+        repaired = f", {apart.after_effects:.2g} with the effects" if effects else ""
+        lines.append(
+            f"After {ahead:.2g} s the simulated states lie {apart.before:.2g} standard deviations from the recorded "
+            f"ones as distributions, {apart.after_parameters:.2g} with the parameters fitted{repaired}; sensor noise "
+            f"alone makes {apart.noise_floor:.2g}."
+        )
     lines += [
         f"{name} leans on the end of its bounds ({value.value:.4g} {value.unit}): widen them, or doubt the model there."
         for name, value in base.items()
