@@ -3,11 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
+import torch
 
+import nfpde
 from nfpde.bench import losses
 from nfpde.benchmarks import ROBOTS
 from nfpde.effects import effect
 from nfpde.errors import BadInput
+from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on
 from nfpde.sim.warp import WarpSimulator
@@ -119,6 +122,35 @@ def test_chunks_change_nothing(sim):
         small = arm(nworld=nworld)
         np.testing.assert_array_equal(small.losses(xi, windows, np.ones(4)), expected)
         np.testing.assert_array_equal(small.predict(xi, windows), states)
+
+
+def test_losses_reach_torch_without_a_copy(sim):
+    """The tensor is the batch's own memory: what is written there shows in it, and in no array that was copied."""
+    windows, xi = make_windows(sim.model, 5, 2), vectors(sim, 3)
+    copied = sim.losses(xi, windows, np.ones(4))
+    shared = torch.from_dlpack(sim.losses_on_device(xi, windows, np.ones(4)))
+    assert shared.dtype == torch.float64
+    np.testing.assert_array_equal(shared.numpy(), copied)
+    batch = next(reversed(sim._batches.values()))
+    batch._loss.fill_(7.0)
+    assert bool((shared == 7.0).all())
+    assert shared.data_ptr() == batch._loss.ptr
+    assert not (copied == 7.0).any()
+
+
+def test_losses_of_several_chunks_are_one_tensor(sim):
+    """Chunks are put together on the device, in the order of vectors and windows."""
+    windows, xi = make_windows(sim.model, 7, 2), vectors(sim, 5)
+    parts = torch.from_dlpack(arm(nworld=6).losses_on_device(xi, windows, np.ones(4)))
+    np.testing.assert_array_equal(parts.numpy(), sim.losses(xi, windows, np.ones(4)))
+
+
+def test_the_trainer_takes_losses_where_they_are(sim, monkeypatch):
+    """A fit by softmax asks for losses on the device, never for copies on the host."""
+    monkeypatch.setattr(WarpSimulator, "losses", lambda *_: pytest.fail("losses were copied to the host"))
+    config = NfpdeConfig(iterations=2, samples=8, transitions=4, gradient_steps=1, transforms=1, hidden=4)
+    result = nfpde.fit(sim, record(sim.model, 2, 6, 2), method="softmax", config=config, quiet=True)
+    assert len(result.history) == 2
 
 
 def test_any_pairs_in_any_order(sim):

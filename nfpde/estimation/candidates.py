@@ -1,14 +1,14 @@
-"""The paper's two candidates for log p(o | xi), and the temperature of the first."""
+"""The paper's two candidates for log p(o | xi), and the temperature of the first; on the device that has the losses."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
 
-Array = NDArray[np.float64]
+import torch
+from torch import Tensor
 
 
-def cai(losses: Array) -> Array:
+def cai(losses: Tensor) -> Tensor:
     """Eq. 10 (control as inference): log p(o_i | xi_j) = -l_ij; losses (M, N) to (M, N).
 
     It follows the lower bound of Eq. 6, whose maximiser is a single point: kept for comparison.
@@ -16,23 +16,27 @@ def cai(losses: Array) -> Array:
     return -losses
 
 
-def softmax(losses: Array, beta: float) -> Array:
+def softmax(losses: Tensor, beta: float) -> Tensor:
     """Eq. 11: exp(-l_ij / beta), normalised over the M samples; losses (M, N) to weights (M, N).
 
     The weights are the responsibilities of the samples for a transition, so that ascending Eq. 8 is a step of
     stochastic expectation-maximisation on the marginal likelihood, Eq. 5.
     """
-    with np.errstate(over="ignore"):  # a large loss over a tiny beta: the weight is 0
-        weights = np.exp(-(losses - losses.min(0)) / beta)
+    weights = torch.exp(-(losses - losses.amin(0)) / beta)
     return weights / weights.sum(0)
 
 
-def effective_samples(weights: Array) -> Array:
+def effective_samples(weights: Tensor) -> Tensor:
     """Effective sample size of normalised weights (M, N) for every transition, (N,)."""
     return 1.0 / (weights**2).sum(0)
 
 
-def next_beta(losses: Array, beta: float | None, channels: int, least_effective: float) -> float:
+def typical_effective(weights: Tensor) -> float:
+    """The median over transitions of their effective samples, of normalised weights (M, N)."""
+    return float(effective_samples(weights).quantile(0.5))
+
+
+def next_beta(losses: Tensor, beta: float | None, channels: int, least_effective: float) -> float:
     """The temperature that the data ask for.
 
     exp(-l / beta) is a Gaussian likelihood with variance beta / 2 in each channel, and the maximisation step of EM
@@ -50,15 +54,15 @@ def next_beta(losses: Array, beta: float | None, channels: int, least_effective:
     Returns:
         The next temperature, positive.
     """
-    weights = np.full_like(losses, 1.0 / len(losses)) if beta is None else softmax(losses, beta)
+    weights = torch.full_like(losses, 1.0 / len(losses)) if beta is None else softmax(losses, beta)
     proposal = 2.0 * float((weights * losses).sum(0).mean()) / channels
-    lowest = np.finfo(float).tiny * 1e10
+    lowest = torch.finfo(torch.float64).tiny * 1e10
     proposal = max(proposal, lowest)
-    if np.median(effective_samples(softmax(losses, proposal))) >= least_effective:
+    if typical_effective(softmax(losses, proposal)) >= least_effective:
         return proposal
-    low, high = np.log(proposal), np.log(max(float(losses.max()) * len(losses), proposal))
+    low, high = math.log(proposal), math.log(max(float(losses.max()) * len(losses), proposal))
     while high - low > 1e-3:
         middle = 0.5 * (low + high)
-        enough = np.median(effective_samples(softmax(losses, float(np.exp(middle))))) >= least_effective
+        enough = typical_effective(softmax(losses, math.exp(middle))) >= least_effective
         low, high = (low, middle) if enough else (middle, high)
-    return float(np.exp(high))
+    return math.exp(high)

@@ -20,7 +20,7 @@ from nfpde.estimation.trajectory import make_problem
 from nfpde.estimation.trajectory.fit import fit_trajectory
 from nfpde.flow import build_flow
 from nfpde.losses import increment_scale
-from nfpde.sim import Simulator
+from nfpde.sim import OnDevice, Simulator
 
 Method = Literal["softmax", "cai", "trajectory"]
 
@@ -105,8 +105,8 @@ def _fit_transitions(
     unit = np.ones(simulator.states.ndiff)
     scale = increment_scale(simulator.states, windows) if config.scale == "increment" else unit
 
-    def losses(xi: NDArray[np.float64], batch: NDArray[np.intp]) -> NDArray[np.float64]:
-        return simulator.losses(xi, windows[batch], scale)
+    def losses(xi: NDArray[np.float64], batch: NDArray[np.intp]) -> OnDevice:
+        return simulator.losses_on_device(xi, windows[batch], scale)
 
     channels = simulator.states.ndiff * config.horizon
     trainer = NfpdeTrainer(losses, len(windows), channels, simulator.space, run["method"], config, seed)

@@ -14,15 +14,16 @@ from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import BadInput
-from nfpde.estimation.candidates import cai, effective_samples, next_beta, softmax
+from nfpde.estimation.candidates import cai, next_beta, softmax, typical_effective
 from nfpde.estimation.config import NfpdeConfig
 from nfpde.flow import Flow, build_flow
 from nfpde.parameters import ParameterSpace
+from nfpde.sim import OnDevice
 
 Array = NDArray[np.float64]
 
-LossFunction = Callable[[Array, NDArray[np.intp]], Array]
-"""Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,)."""
+LossFunction = Callable[[Array, NDArray[np.intp]], OnDevice]
+"""Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,), on any device."""
 
 
 def surrogate(ratio: Tensor, weight: Tensor, clip: float) -> Tensor:
@@ -95,19 +96,20 @@ class NfpdeTrainer:
         started = time.perf_counter()
         z = self.flow.sample(self.config.samples, self.generator)
         batch = self.rng.permutation(self.count)[: self.config.transitions]
-        losses = self.losses(self.space.to_physical(z.numpy()), batch)
+        # no copy: what is made of the losses is computed where they are, and M weights come back
+        losses = torch.from_dlpack(self.losses(self.space.to_physical(z.numpy()), batch))
         if self.candidate == "softmax":
             self.beta = self.config.beta or next_beta(losses, self.beta, self.channels, self.config.least_effective)
             values = softmax(losses, self.beta)
             explained = float((values * losses).sum(0).mean())
-            figures = {"beta": self.beta, "effective": float(np.median(effective_samples(values)))}
+            figures = {"beta": self.beta, "effective": typical_effective(values)}
             weight = values.mean(1)
         else:
             values = cai(losses)
             explained = -float(values.mean())
             figures = {}
             weight = values.mean(1) / len(values)
-        self._ascend(z, torch.from_numpy(weight))
+        self._ascend(z, weight.cpu())
         self.iteration += 1
         seconds = time.perf_counter() - started
         self.history.append({"iteration": self.iteration, "loss": explained, **figures, "seconds": seconds})

@@ -9,6 +9,7 @@ from nfpde.sim.select import Device as Device
 from nfpde.sim.select import make_simulator as make_simulator
 from nfpde.sim.select import runs_on as runs_on
 from nfpde.sim.simulator import LOSS_LIMIT as LOSS_LIMIT
+from nfpde.sim.simulator import OnDevice as OnDevice
 from nfpde.sim.simulator import Simulator as Simulator
 from nfpde.sim.simulator import squared_error as squared_error
 from nfpde.sim.states import StateSpace as StateSpace

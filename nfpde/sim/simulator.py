@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,18 @@ CHUNK_ROWS = 4096
 
 CHUNK_NUMBERS = 1 << 23
 """Numbers of their states that are held at once, at most (64 MiB): long windows run in smaller groups."""
+
+
+class OnDevice(Protocol):
+    """An array in some device's memory, which `torch.from_dlpack` and `numpy.from_dlpack` read without a copy."""
+
+    def __dlpack__(self, *args: Any, **kwargs: Any) -> Any:
+        """The array as a DLPack capsule."""
+        ...
+
+    def __dlpack_device__(self) -> Any:
+        """Kind and number of the device."""
+        ...
 
 
 class Simulator(ABC):
@@ -102,6 +114,10 @@ class Simulator(ABC):
             predicted = self.rollout(xi[vectors], windows, vector - vectors.start, window)
             out[rows] = squared_error(self.states, predicted, windows.target[window], scale)
         return out.reshape(m, n)
+
+    def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> OnDevice:
+        """`losses` (M, N) where they were computed; the next call of the simulator may write over them."""
+        return self.losses(xi, windows, scale)
 
     def prepare(self, dataset: Dataset) -> Dataset:
         """Check that recordings fit this simulator; returns them, with columns reordered where they are named.

@@ -120,14 +120,26 @@ class WarpSimulator(Simulator):
 
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
+        return np.array(self.losses_on_device(xi, windows, scale).numpy(), np.float64)
+
+    def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> wp.array:
+        """See `Simulator.losses_on_device`: the batch's own memory where all pairs run at once."""
         xi = self._check(xi, windows)
         self._check_windows(windows)
         scale = np.asarray(scale, dtype=np.float64)
         if scale.shape != (self.states.ndiff,) or not (scale > 0).all():
             raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
-        out = np.empty((len(xi), len(windows)))
+        whole = len(xi), len(windows)
+        out: Any = None
         for vectors, chosen, batch in self._tiles(xi, windows, scale):
-            out[vectors, chosen] = batch.losses(vectors.stop - vectors.start, chosen.stop - chosen.start)
+            part = batch.losses(vectors.stop - vectors.start, chosen.stop - chosen.start)
+            if part.shape == whole:
+                return part
+            if out is None:
+                out = wp.array(shape=whole, dtype=wp.float64, device=self.device)
+            wp.copy(out[vectors, chosen], part)
+        if out is None:
+            raise BadInput("no parameter vector, or no window")
         return out
 
     def prepare(self, dataset: Dataset) -> Dataset:
@@ -161,12 +173,12 @@ class WarpSimulator(Simulator):
     def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
         """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""
         keep = scale is None
+        self._count(len(xi) * len(windows), windows)
         for vectors, chosen in _tiles(len(xi), len(windows), self._most_worlds(windows, keep=keep)):
             nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
             sizes = self._sizes(windows, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow, keep=keep)
             part = windows[np.arange(chosen.start, chosen.stop)]
             yield vectors, chosen, self._run(sizes, xi[vectors], part, scale=scale)
-        self._count(len(xi) * len(windows), windows)
 
     def _run(
         self,

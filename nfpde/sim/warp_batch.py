@@ -165,10 +165,10 @@ class WarpBatch:
             )
             return int(self._overflow.numpy()[0])
 
-    def losses(self, nvector: int, nwindow: int) -> Array:
-        """Losses of all pairs after `pair_all`, (nvector, nwindow)."""
-        table = np.asarray(self._loss.numpy(), np.float64).reshape(-1, self.sizes.nrow)
-        return table[:nwindow, :nvector].T
+    def losses(self, nvector: int, nwindow: int) -> wp.array:
+        """Losses of all pairs after `pair_all`, (nvector, nwindow), in the batch's own memory."""
+        table: Any = self._loss.reshape((-1, self.sizes.nrow))
+        return table[:nwindow, :nvector].transpose()
 
     def all_predictions(self, nvector: int, nwindow: int) -> NDArray[np.float32]:
         """Predicted states of all pairs after `pair_all`, (nvector, nwindow, H, nx)."""
