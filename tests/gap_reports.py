@@ -139,6 +139,7 @@ def gap_report(model, verdict, *, seed=3):
         simulated_steps=12_345_678,
         candidates=61,
         seed=17,
+        device="cpu: MuJoCo, double precision, 2 thread(s)",
         model=model,
     )
 

@@ -104,7 +104,9 @@ def test_limits_that_only_some_rows_have(name, bounds, weak):
 
 def test_every_kernel_has_a_case():
     """A kernel that nobody compares with its twin is not offered."""
-    assert CASES.keys() == COMMANDS.keys() | STEPS.keys() | SENSORS.keys()
+    # no effect of the library, but of the diagnosis, beside which it is tested
+    ours = {"residual_force"}
+    assert CASES.keys() | ours == COMMANDS.keys() | STEPS.keys() | SENSORS.keys()
     assert CASES.keys() <= set(effect_names())
 
 

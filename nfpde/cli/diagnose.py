@@ -11,9 +11,10 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from nfpde.cli.models import MODEL_HELP, model_file, read_dataset
+from nfpde.cli.models import DEVICE_HELP, MODEL_HELP, model_file, read_dataset
 from nfpde.gap import diagnose_gap, write_report
 from nfpde.parameters import ParameterSpace
+from nfpde.sim import Device
 
 
 @contextmanager
@@ -43,6 +44,7 @@ def command(
         int | None,
         typer.Option(min=40, help="windows used of each half, 80 to 160 if not given: more are slower and surer"),
     ] = None,
+    device: Annotated[Device, typer.Option(help=DEVICE_HELP)] = "auto",
     seed: Annotated[int, typer.Option(help="decides which episodes are held out")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
 ) -> None:
@@ -53,10 +55,11 @@ def command(
     space = None if params is None else ParameterSpace.from_toml(params)
     dataset = read_dataset(data, resample)
     with _telling(quiet) as tell:
-        found = diagnose_gap(model_file(model), dataset, space, seed=seed, windows=windows, report=tell)
+        found = diagnose_gap(model_file(model), dataset, space, seed=seed, windows=windows, device=device, report=tell)
     path = found.save(out)
     page = write_report(found, out)
     for line in found.summary:
         typer.echo(line)
     typer.echo(f"{path}: the answer, for machines")
     typer.echo(f"{page}: the answer, with pictures")
+    typer.echo(f"simulated on {found.device}")

@@ -22,6 +22,7 @@ from nfpde.gap.separate import separating_experiment
 from nfpde.gap.trial import Trial
 from nfpde.gap.where import gap_map, needed_forces, places
 from nfpde.gap.words import summary
+from nfpde.sim import runs_on
 
 Array = NDArray[np.float64]
 
@@ -148,6 +149,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
         simulated_steps=selection.steps,
         candidates=len(selection.candidates),
         seed=outcome.seed,
+        device=runs_on(final.fit.replay.sim),
         model=model,
     )
 

@@ -23,7 +23,7 @@ from nfpde.gap.report import GapReport
 from nfpde.gap.select import Selection
 from nfpde.gap.trial import Court, Trial
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import load_model
+from nfpde.sim import Device, load_model
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,7 @@ def diagnose_gap(
     seed: int = 0,
     windows: int | None = None,
     nthread: int = 0,
+    device: Device = "auto",
     report: Callable[[str], None] = lambda what: None,
 ) -> GapReport:
     """Say where the gap between a model and recordings lies, which effects cause it, and how far it shrinks.
@@ -50,6 +51,7 @@ def diagnose_gap(
         seed: Decides which episodes are held out, and all draws.
         windows: Windows used of each half, at most; None: 80 to 160, fewer for models with many degrees of freedom.
         nthread: Threads; 0 takes all cores this process may use.
+        device: Where to simulate, see `make_simulator`.
         report: Called with what is being done.
 
     Returns:
@@ -61,7 +63,7 @@ def diagnose_gap(
     """
     begin = time.monotonic()
     mjmodel = load_model(model)
-    start = Replay(mjmodel, space, [], nthread)
+    start = Replay(mjmodel, space, [], nthread, device)
     dataset = start.sim.prepare(dataset)
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
@@ -73,7 +75,7 @@ def diagnose_gap(
     nominal, base, court = _base_fit(start, recordings)
     report("noise of the sensors")
     yardstick = _yardstick(base, base, recordings, seed)[0]
-    selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report)
+    selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report, device)
     final, accepted = selection.run(base)
     report("where, and what is left")
     yardstick, sigma = _yardstick(base, final, recordings, seed)

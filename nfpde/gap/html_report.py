@@ -128,6 +128,7 @@ def _facts(report: GapReport) -> str:
         "control step": f"{number(report.control_dt)} s",
         "candidates tried": str(report.candidates),
         "simulated steps": f"{report.simulated_steps:,}",
+        "simulated on": report.device,
         "time taken": f"{report.seconds:.1f} s",
         "seed": str(report.seed),
     }

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.effects import Effect, Quantity, World
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import MujocoSimulator
+from nfpde.sim import Device, MujocoSimulator, make_simulator
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,7 @@ def residual_force(model: mujoco.MjModel) -> Effect:
         "default_bounds": dict.fromkeys(names, (-1e6, 1e6)),
         "sentence": "A force of unknown origin.",
         "step": step,
+        "dofs": np.arange(model.nv),
         "__doc__": "A constant generalized force on every degree of freedom.",
     }
     return type("ResidualForceEffect", (Effect,), members)()
@@ -49,12 +50,17 @@ class Replay:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect], nthread: int = 0
+        self,
+        model: mujoco.MjModel,
+        space: ParameterSpace | None,
+        effects: Sequence[Effect],
+        nthread: int = 0,
+        device: Device = "cpu",
     ) -> None:
         self.effects = tuple(effects)
-        self.sim = MujocoSimulator(
-            model, space, [*effects, residual_force(model)], nthread=nthread, check_influence=False
-        )
+        self.sim = make_simulator(model, space, [*effects, residual_force(model)], device=device, check_influence=False)
+        if isinstance(self.sim, MujocoSimulator) and nthread:
+            self.sim.nthread = nthread
         self.nv = model.nv
         self.nbase = 0 if space is None else len(space)
         self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]

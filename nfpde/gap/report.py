@@ -190,6 +190,7 @@ class GapReport:
         summary: Plain words.
         held_out_episodes: Names of the episodes that no fit saw.
         sensor_noise: Standard deviation of the noise found on each channel, by channel.
+        device: What simulated, for people.
         model: The nominal model.
     """
 
@@ -213,6 +214,7 @@ class GapReport:
     simulated_steps: int
     candidates: int
     seed: int
+    device: str
     model: mujoco.MjModel = field(repr=False)
 
     def to_json(self) -> dict[str, Any]:
@@ -237,6 +239,7 @@ class GapReport:
             "held_out_episodes": [_number(name) for name in self.held_out_episodes],
             "candidates": self.candidates,
             "seed": self.seed,
+            "device": self.device,
             "seconds": self.seconds,
             "simulated_steps": self.simulated_steps,
         }

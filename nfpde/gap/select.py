@@ -15,6 +15,7 @@ from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
 from nfpde.gap.trial import APART, LEVEL, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
+from nfpde.sim import Device
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ class Accepted:
 class Selection:
     """Adds effects to a base fit as long as recordings that no fit saw ask for them.
 
-    model, space, nthread: of the simulator
+    model, space, nthread, device: of the simulator
     court: refits and judges
     yardstick: measures the gap
     candidates: effects with the values to screen
@@ -65,6 +66,7 @@ class Selection:
     yardstick: Yardstick
     candidates: Sequence[tuple[Effect, Array]]
     report: Callable[[str], None] = lambda what: None
+    device: Device = "cpu"
     ranking: list[Trial] = field(default_factory=list)
     steps: int = 0
 
@@ -187,7 +189,7 @@ class Selection:
         return current, accepted
 
     def _replay(self, effects: Sequence[Effect]) -> Replay:
-        return Replay(self.model, self.space, effects, self.nthread)
+        return Replay(self.model, self.space, effects, self.nthread, self.device)
 
     def _count(self, replay: Replay) -> None:
         self.steps += replay.sim.simulated_steps

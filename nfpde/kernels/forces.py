@@ -52,3 +52,23 @@ def _push_bodies(
     y = float(values_in[row, first_in + 1])
     z = float(values_in[row, first_in + 2])
     xfrc_applied_out[worldid, bodyid_in[i]] += wp.spatial_vector(x, y, z, 0.0, 0.0, 0.0)
+
+
+@wp.kernel(enable_backward=False)
+def _push_joints(
+    # In:
+    values_in: wp.array2d[wp.float64],
+    active_in: wp.array2d[int],
+    world_row_in: wp.array[int],
+    dofid_in: wp.array[int],
+    first_in: int,
+    effect_in: int,
+    # Data out:
+    qfrc_applied_out: wp.array2d[float],
+):
+    """Residual force: a constant generalized force on each degree of freedom, every one its own parameter."""
+    worldid, i = wp.tid()
+    row = world_row_in[worldid]
+    if active_in[row, effect_in] == 0:
+        return
+    qfrc_applied_out[worldid, dofid_in[i]] += float(values_in[row, first_in + i])

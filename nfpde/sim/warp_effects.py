@@ -88,6 +88,7 @@ STEPS = {
     "load_friction": Launch(
         drives._add_load_friction, ("dofs", *_DRIVES), (*_TORQUE, "ctrl", "qpos", "qvel"), ("dof_frictionloss",)
     ),
+    "residual_force": Launch(forces._push_joints, ("dofs",), (), ("qfrc_applied",)),
     "stribeck_friction": Launch(friction._add_stribeck_friction, ("dofs",), ("qvel",), ("dof_frictionloss",)),
     "torque_speed": Launch(drives._limit_torque_by_speed, ("joints", "dofs"), ("qvel",), ("jnt_actfrcrange",)),
 }
