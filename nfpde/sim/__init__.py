@@ -13,4 +13,5 @@ from nfpde.sim.simulator import OnDevice as OnDevice
 from nfpde.sim.simulator import Simulator as Simulator
 from nfpde.sim.simulator import squared_error as squared_error
 from nfpde.sim.states import StateSpace as StateSpace
+from nfpde.sim.whitening import Whitening as Whitening
 from nfpde.sim.writer import ModelWriter as ModelWriter

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.states import StateSpace
+from nfpde.sim.whitening import Whitening
 
 Array = NDArray[np.float64]
 
@@ -115,6 +117,65 @@ class Simulator(ABC):
             out[rows] = squared_error(self.states, predicted, windows.target[window], scale)
         return out.reshape(m, n)
 
+    def residuals(
+        self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp], scale: ArrayLike
+    ) -> Array:
+        """Predicted minus measured at the end of every control step, in units of `scale`, of any pairs.
+
+        Args:
+            xi: parameter vectors, (M, D).
+            windows: N windows of H control steps.
+            vector: which parameter vector each row has, (R,); sorted order is fastest.
+            window: which window each row replays, (R,).
+            scale: what counts as one, in each channel of each step, (H ndiff,), positive.
+
+        Returns:
+            Residuals, (R, H ndiff); NaN from the step on in which a simulation diverged.
+
+        Raises:
+            BadInput: a scale that is not positive or of another shape, or windows that do not fit.
+        """
+        unit = self._check_unit(windows, scale)
+        predicted = self.rollout(xi, windows, vector, window)
+        difference = self.states.difference(predicted, windows.target[window])
+        return difference.reshape(len(vector), -1) / unit
+
+    def costs(
+        self,
+        xi: Array,
+        windows: Windows,
+        vector: NDArray[np.intp],
+        window: NDArray[np.intp],
+        scale: ArrayLike,
+        whitening: Whitening,
+    ) -> Array:
+        """What whole recordings cost: the rows of `residuals`, whitened along the recordings and added up by vector.
+
+        Args:
+            xi: parameter vectors, (M, D).
+            windows: N windows of H control steps.
+            vector: which parameter vector each row has, sorted, (R,).
+            window: which window each row replays, in recorded order for each vector, (R,).
+            scale: as in `residuals`.
+            whitening: of the N windows.
+
+        Returns:
+            Twice the negative log likelihood of every vector, up to a constant, (M,). A simulation that diverged
+            counts as a window with a squared white innovation of 1e30.
+
+        Raises:
+            BadInput: vectors that are not sorted, a whitening of other windows, or what `residuals` refuses.
+        """
+        self._check_unit(windows, scale)
+        check_rows(vector, windows, whitening)
+        out = np.zeros(len(xi))
+        for rows in whole_vectors(vector, rows_at_once(windows.horizon * self.states.nx)):
+            own = slice(int(vector[rows.start]), int(vector[rows.stop - 1]) + 1)
+            v = vector[rows] - own.start
+            residuals = self.residuals(xi[own], windows, v, window[rows], scale)
+            out[own] = whitening.costs(residuals, v, window[rows], own.stop - own.start)
+        return out
+
     def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> OnDevice:
         """`losses` (M, N) where they were computed; the next call of the simulator may write over them."""
         return self.losses(xi, windows, scale)
@@ -140,6 +201,15 @@ class Simulator(ABC):
         """Commands before a window's start that its simulation needs, at a control step of control_dt [s]."""
         return int(np.ceil(self.memory_time / control_dt - 1e-9)) + 1 if self.memory_time > 0 else 0
 
+    def _check_unit(self, windows: Windows, scale: ArrayLike) -> Array:
+        unit = np.asarray(scale, dtype=np.float64)
+        if unit.shape != (windows.horizon * self.states.ndiff,) or not (unit > 0).all():
+            raise BadInput(
+                f"scale must be {windows.horizon * self.states.ndiff} positive numbers, one per channel of each of "
+                f"the {windows.horizon} control step(s), got {unit}"
+            )
+        return unit
+
     def _check(self, xi: ArrayLike, windows: Windows) -> Array:
         checked = self.space.check(xi)
         if (windows.nq, windows.nv) != (self.states.nq, self.states.nv):
@@ -162,6 +232,25 @@ def squared_error(states: StateSpace, predicted: Array, measured: Array, scale: 
         error = states.difference(predicted, measured) / scale
         loss = np.einsum("rhc,rhc->r", error, error)
     return np.where(loss < LOSS_LIMIT, loss, LOSS_LIMIT)
+
+
+def check_rows(vector: NDArray[np.intp], windows: Windows, whitening: Whitening) -> None:
+    """Refuse rows and a whitening that `Simulator.costs` cannot use.
+
+    Raises:
+        BadInput: vectors that are not sorted, or a whitening of other windows.
+    """
+    if (np.diff(vector) < 0).any():
+        raise BadInput("vector must be sorted: costs are added up along the rows of one vector after the other")
+    if len(whitening.linked) != len(windows):
+        raise BadInput(f"the whitening is of {len(whitening.linked)} windows, got {len(windows)}")
+
+
+def whole_vectors(vector: NDArray[np.intp], most: int) -> list[slice]:
+    """Cut sorted rows into runs of about `most` rows, none of which splits the rows of a vector."""
+    first = np.flatnonzero(np.diff(vector, prepend=-1))
+    starts = first[np.flatnonzero(np.diff(first // most, prepend=-1))]
+    return [slice(int(a), int(b)) for a, b in pairwise([*starts, len(vector)])]
 
 
 def rows_at_once(numbers: int) -> int:

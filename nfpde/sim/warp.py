@@ -19,12 +19,14 @@ from nfpde.effects import Effect
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.cpu import MujocoSimulator
-from nfpde.sim.simulator import Array, Simulator
-from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Sizes, WarpBatch
+from nfpde.sim.simulator import Array, Simulator, check_rows
+from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes, WarpBatch
 from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory
 from nfpde.sim.warp_effects import WarpEffects
 from nfpde.sim.warp_model import WarpModel
 from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world
+from nfpde.sim.warp_whitening import WarpWhitening
+from nfpde.sim.whitening import Whitening
 
 MOST_BATCHES = 3
 """Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
@@ -92,21 +94,45 @@ class WarpSimulator(Simulator):
         self._buffers: tuple[int, int] | None = None
         self._memory = free_bytes(self.device)
         self._bytes_of: dict[Sizes, int] = {}
+        self._whitening: WarpWhitening | None = None
 
     def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
         """See `Simulator.rollout`; more worlds than fit at once are simulated in chunks."""
         self._check_windows(windows)
         out = np.empty((len(vector), windows.horizon, self.states.nx))
-        most = self._most_worlds(windows, keep=True)
-        for start in range(0, len(vector), most):
-            part = slice(start, start + most)
+        for part, _, batch in self._rows(xi, windows, vector, window, "states"):
+            out[part] = batch.predictions()[: part.stop - part.start]
+        return out
+
+    def residuals(
+        self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp], scale: ArrayLike
+    ) -> Array:
+        """See `Simulator.residuals`; differences are taken on the device, and states stay there."""
+        unit = self._check_unit(windows, scale)
+        out = np.empty((len(vector), len(unit)))
+        for part, _, batch in self._rows(xi, windows, vector, window, "residuals", unit):
+            out[part] = batch.residual.numpy()[: part.stop - part.start]
+        return out
+
+    def costs(
+        self,
+        xi: Array,
+        windows: Windows,
+        vector: NDArray[np.intp],
+        window: NDArray[np.intp],
+        scale: ArrayLike,
+        whitening: Whitening,
+    ) -> Array:
+        """See `Simulator.costs`; the whitening is sent once, and a number for every vector comes back."""
+        unit = self._check_unit(windows, scale)
+        check_rows(vector, windows, whitening)
+        if self._whitening is None or self._whitening.whitening is not whitening:
+            self._whitening = WarpWhitening(whitening, self.device)
+        out = np.zeros(len(xi))
+        for part, own, batch in self._rows(xi, windows, vector, window, "residuals", unit):
+            continues = part.start > 0 and bool(vector[part.start] == vector[part.start - 1])
             vectors, v = np.unique(vector[part], return_inverse=True)
-            chosen, w = np.unique(window[part], return_inverse=True)
-            n = min(most, 1 << (len(v) - 1).bit_length())  # few shapes, whose buffers are kept
-            sizes = self._sizes(windows, nrow=n, nworld=n, nwindow=n, keep=True, all_pairs=False)
-            batch = self._run(sizes, xi[vectors], windows[chosen], pairs=(v, w))
-            out[part] = batch.predictions()[: len(v)]
-        self._count(len(vector), windows)
+            out[vectors] += self._whitening.costs(batch.residual, batch.white, v, own, continues=continues)
         return out
 
     def predict(self, xi: ArrayLike, windows: Windows) -> Array:
@@ -170,13 +196,34 @@ class WarpSimulator(Simulator):
         sizes = next(reversed(self._batches))
         return Usage(sizes.nworld, sizes.nworld * self._bytes(sizes), sizes.nconmax, sizes.njmax)
 
+    def _rows(
+        self,
+        xi: Array,
+        windows: Windows,
+        vector: NDArray[np.intp],
+        window: NDArray[np.intp],
+        output: Output,
+        scale: Array | None = None,
+    ) -> Iterator[tuple[slice, NDArray[np.intp], WarpBatch]]:
+        """Simulate pairs, as many at once as fit: which rows, their windows, and the batch that ran them in order."""
+        self._check_windows(windows)
+        self._count(len(vector), windows)
+        most = self._most_worlds(windows, output)
+        for start in range(0, len(vector), most):
+            part = slice(start, min(start + most, len(vector)))
+            vectors, v = np.unique(vector[part], return_inverse=True)
+            chosen, w = np.unique(window[part], return_inverse=True)
+            n = min(most, 1 << (len(v) - 1).bit_length())  # few shapes, whose buffers are kept
+            sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
+            yield part, window[part], self._run(sizes, xi[vectors], windows[chosen], scale=scale, pairs=(v, w))
+
     def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
         """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""
-        keep = scale is None
+        output: Output = "states" if scale is None else "losses"
         self._count(len(xi) * len(windows), windows)
-        for vectors, chosen in _tiles(len(xi), len(windows), self._most_worlds(windows, keep=keep)):
+        for vectors, chosen in _tiles(len(xi), len(windows), self._most_worlds(windows, output)):
             nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
-            sizes = self._sizes(windows, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow, keep=keep)
+            sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
             part = windows[np.arange(chosen.start, chosen.stop)]
             yield vectors, chosen, self._run(sizes, xi[vectors], part, scale=scale)
 
@@ -233,19 +280,19 @@ class WarpSimulator(Simulator):
         return batch
 
     def _sizes(
-        self, windows: Windows, *, nrow: int, nworld: int, nwindow: int, keep: bool, all_pairs: bool = True
+        self, windows: Windows, output: Output, *, nrow: int, nworld: int, nwindow: int, all_pairs: bool = True
     ) -> Sizes:
         nhistory, nsub = self.history_steps(windows.control_dt), self.substeps(windows.control_dt)
         nconmax, njmax = self._buffers or (0, 0)
-        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, keep, all_pairs, nconmax, njmax)
+        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, output, all_pairs, nconmax, njmax)
 
-    def _most_worlds(self, windows: Windows, *, keep: bool) -> int:
+    def _most_worlds(self, windows: Windows, output: Output) -> int:
         """Worlds at once: as many as were asked for, or as fit into the memory that was free at the beginning."""
         if self.nworld:
             return self.nworld
         if self._buffers is None:
             self._buffers = buffer_sizes(self.model, windows)
-        return most_worlds(self._memory, self._bytes(self._sizes(windows, nrow=1, nworld=1, nwindow=1, keep=keep)))
+        return most_worlds(self._memory, self._bytes(self._sizes(windows, output, nrow=1, nworld=1, nwindow=1)))
 
     def _bytes(self, sizes: Sizes) -> int:
         """Memory of a world in batches of that kind, measured once for each."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import mujoco_warp as mjw
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.kernels import loss as loss_kernels
-from nfpde.kernels import rows, states
+from nfpde.kernels import rows, states, whitening
 from nfpde.sim.simulator import LOSS_LIMIT
 from nfpde.sim.states import StateSpace
 from nfpde.sim.warp_effects import Staged, WarpEffects
@@ -28,6 +28,9 @@ COLLIDER = int(_O.EPA_HORIZON | _O.HFIELD)
 """Overflows of the collision code of meshes and height fields, whose buffers have one size."""
 
 
+Output = Literal["states", "losses", "residuals"]
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Everything that decides how large the buffers of a batch are.
@@ -38,7 +41,7 @@ class Sizes:
     horizon: control steps in a window
     nhistory: commands from before its start
     nsub: physics steps in a control step
-    keep: whether all predicted states are kept, or only their losses
+    output: what is kept of each step: the predicted states, their part of the loss, or their residuals
     all_pairs: whether every row meets every window; otherwise each world has a pair of its own
     nconmax: contacts in a world, on average
     njmax: constraints in a world
@@ -50,7 +53,7 @@ class Sizes:
     horizon: int
     nhistory: int
     nsub: int
-    keep: bool
+    output: Output
     all_pairs: bool
     nconmax: int
     njmax: int
@@ -86,12 +89,16 @@ class WarpBatch:
             )
             self._row = wp.zeros(z.nrow, dtype=int)
             self._world_window = wp.zeros(z.nworld, dtype=int)
-            self._state = wp.zeros((z.nwindow, 1 if z.keep else z.horizon + 1, nx), dtype=wp.float64)
+            kept = z.output == "states"
+            self._state = wp.zeros((z.nwindow, 1 if kept else z.horizon + 1, nx), dtype=wp.float64)
             self._ctrl = wp.zeros((z.nwindow, z.nhistory + z.horizon, nu), dtype=float)
             length = (z.nhistory + z.horizon) * z.nsub if effects.on_command else 0
             self._signal = wp.zeros((z.nworld, length, nu), dtype=float)
-            self._predicted = wp.zeros((z.nworld, z.horizon if z.keep else 1, nx), dtype=float)
-            self._scale = wp.ones(space.ndiff, dtype=wp.float64)
+            self._predicted = wp.zeros((z.nworld, z.horizon if kept else 1, nx), dtype=float)
+            channels = z.horizon * space.ndiff if z.output == "residuals" else 0
+            self.residual = wp.zeros((z.nworld, channels), dtype=wp.float64)
+            self.white = wp.zeros((z.nworld, channels), dtype=wp.float64)
+            self._scale = wp.ones(channels or space.ndiff, dtype=wp.float64)
             starts = np.zeros(nx, np.int32)
             starts[[q for q, _ in space.quaternions]] = 1
             self._quaternion = wp.array(starts, dtype=int)
@@ -181,7 +188,16 @@ class WarpBatch:
 
     def poison(self) -> None:
         """Fill every result with NaN, so that one which is not written cannot pass for an answer."""
-        for array in (self._predicted, self._loss, self.d.qpos, self.d.qvel, self.d.qacc, self.d.ctrl):
+        for array in (
+            self._predicted,
+            self._loss,
+            self.residual,
+            self.white,
+            self.d.qpos,
+            self.d.qvel,
+            self.d.qacc,
+            self.d.ctrl,
+        ):
             array.fill_(np.nan)
 
     def nbytes(self) -> int:
@@ -243,15 +259,18 @@ class WarpBatch:
             self._physics_step(k)
         self._store()
         self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted)
-        if not z.keep:
+        compared = [
+            *(self._predicted, self._state, self._scale, self._quaternion),
+            *(self._world_window, self._step),
+        ]
+        if z.output == "losses":
+            wp.launch(loss_kernels._add_loss, dim=z.nworld, inputs=compared, outputs=[self._loss])
+        elif z.output == "residuals":
             wp.launch(
-                loss_kernels._add_loss,
+                whitening._keep_residual,
                 dim=z.nworld,
-                inputs=[
-                    *(self._predicted, self._state, self._scale, self._quaternion),
-                    *(self._world_window, self._step),
-                ],
-                outputs=[self._loss],
+                inputs=[*compared, self._space.ndiff],
+                outputs=[self.residual],
             )
         wp.launch(loss_kernels._count_step, dim=1, inputs=[], outputs=[self._step])
 

@@ -55,9 +55,8 @@ class Problem:
         counts = np.array([len(self.members[g]) for g in robot])
         vector = np.repeat(np.arange(len(xi)), counts)
         window = np.concatenate([self.members[g] for g in robot])
-        predicted = self.simulator.rollout(xi, self.windows, vector, window)
-        difference = self.simulator.states.difference(predicted, self.windows.target[window])
-        return np.split(difference.reshape(len(vector), -1) / self.unit, np.cumsum(counts)[:-1])
+        rows = self.simulator.residuals(xi, self.windows, vector, window, self.unit)
+        return np.split(rows, np.cumsum(counts)[:-1])
 
     def in_parts(self, z: Array, robot: Index) -> Iterator[list[Array]]:
         """`residuals` of unconstrained vectors z (K, D), a part at a time, so that memory stays bounded."""
