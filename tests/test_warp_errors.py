@@ -8,7 +8,7 @@ import pytest
 
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import make_simulator, warp_device
+from nfpde.sim import Whitening, make_simulator, warp, warp_device
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_batch import WarpBatch
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
@@ -73,19 +73,64 @@ def test_pgs_is_replaced():
     np.testing.assert_allclose(sim.predict([[0.5]], windows), sim.reference.predict([[0.5]], windows), atol=1e-5)
 
 
-def test_out_of_memory(monkeypatch):
-    """The number of worlds that would fit is in the text."""
-    sim = pendulum(nworld=64)
-    windows = make_windows(sim.model, 64, 1)
+@pytest.fixture
+def small_memory(monkeypatch):
+    """A device with 4 MiB: what is allocated beyond fails as Warp's allocators fail."""
+    budget = 4 << 20
+    held: dict[Any, int] = {}
+    allocator: Any = type(warp_device.open_device("warp-cpu").get_allocator())
+    allocate, deallocate = allocator.allocate, allocator.deallocate
 
-    def full(*_):
-        raise RuntimeError("Failed to allocate 99999 bytes on device 'cuda:0'")
+    def limited(self, size):
+        if sum(held.values()) + size > budget:
+            raise RuntimeError(f"Failed to allocate {size} bytes on device 'cpu'")
+        pointer = allocate(self, size)
+        held[pointer] = size
+        return pointer
 
-    sim.losses([[0.5]], windows, np.ones(2))
-    sim._batches.clear()
-    monkeypatch.setattr(WarpBatch, "run", full)
-    with pytest.raises(BadInput, match=r"no memory for 64 worlds of about \d+ KiB each; .*pass nworld=32"):
-        sim.losses([[0.5]], windows, np.ones(2))
+    def freed(self, pointer, size):
+        held.pop(pointer, None)
+        deallocate(self, pointer, size)
+
+    monkeypatch.setattr(allocator, "allocate", limited)
+    monkeypatch.setattr(allocator, "deallocate", freed)
+    # the other half is for what a step allocates and gives back, which is known in advance on a GPU only
+    monkeypatch.setattr(warp, "free_bytes", lambda _: budget // 2)
+    return held
+
+
+def test_out_of_memory_names_the_worlds_that_fit(small_memory):
+    """Too many worlds at once: the text has a number, and as many do fit, with the same losses."""
+    windows = make_windows(load(PENDULUM), 400, 1)
+    xi, one = [[d] for d in np.linspace(0.1, 0.9, 20)], np.ones(2)
+    sim = pendulum(nworld=8000)
+    with pytest.raises(BadInput, match=r"cpu: no memory for 8000 worlds of about \d+ KiB .*pass nworld=\d+") as error:
+        sim.losses(xi, windows, one)
+    fitting = int(str(error.value).split("nworld=")[1].split(",")[0])
+    assert 100 < fitting < 8000
+    del sim, error
+    found = pendulum(nworld=fitting).losses(xi, windows, one)
+    np.testing.assert_allclose(found, pendulum().reference.losses(xi, windows, one), rtol=1e-4)
+
+
+def test_as_many_worlds_as_fit(small_memory):
+    """Without a number, the pairs that do not fit at once run in turn, and nothing fails."""
+    windows = make_windows(load(PENDULUM), 400, 1)
+    sim = pendulum()
+    sim.losses([[d] for d in np.linspace(0.1, 0.9, 20)], windows, np.ones(2))
+    assert sim.usage().nworld < 8000
+    assert sum(small_memory.values()) > 1 << 20
+
+
+def test_out_of_memory_beside_the_worlds(small_memory):
+    """What is no world's buffer has a text of its own."""
+    windows = make_windows(load(PENDULUM), 20_000, 1)
+    own = np.tile(np.eye(2), (20_000, 1, 1))
+    whitening = Whitening(own, np.zeros_like(own), np.zeros(20_000, bool), 4.0)
+    small_memory["others"] = 3 << 20
+    sim = pendulum(nworld=4)
+    with pytest.raises(BadInput, match=r"no memory for the whitening of 20000 windows beside the worlds; pass a sm"):
+        sim.costs(np.array([[0.5]]), windows, np.zeros(2, int), np.arange(2), np.ones(2), whitening)
 
 
 def test_other_errors_of_warp_pass(monkeypatch):
@@ -93,7 +138,7 @@ def test_other_errors_of_warp_pass(monkeypatch):
     sim = pendulum()
 
     def broken(*_):
-        raise RuntimeError("CUDA error 700: an illegal access")
+        raise RuntimeError("CUDA error 700: an illegal memory access was encountered")
 
     monkeypatch.setattr(WarpBatch, "run", broken)
     with pytest.raises(RuntimeError, match="CUDA error 700"):

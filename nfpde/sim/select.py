@@ -28,6 +28,7 @@ def make_simulator(
     effects: Sequence[Effect] = (),
     *,
     device: Device = "auto",
+    nworld: int = 0,
     check_influence: bool = True,
 ) -> MujocoSimulator | WarpSimulator:
     """The simulator of a model on a device.
@@ -38,6 +39,7 @@ def make_simulator(
         effects: see `MujocoSimulator`.
         device: `auto` is `cuda` if Warp finds a CUDA device, else `cpu`. What a device cannot run is an error, never
             run on another one.
+        nworld: simulations at once on a GPU, at most; 0 takes as many as fit into its free memory.
         check_influence: see `MujocoSimulator`.
 
     Raises:
@@ -53,7 +55,7 @@ def make_simulator(
         return MujocoSimulator(model, space, effects, check_influence=check_influence)
     from nfpde.sim.warp import WarpSimulator  # a second of imports, where it is used
 
-    return WarpSimulator(model, space, effects, device=device, check_influence=check_influence)
+    return WarpSimulator(model, space, effects, device=device, nworld=nworld, check_influence=check_influence)
 
 
 def runs_on(simulator: MujocoSimulator | WarpSimulator) -> str:

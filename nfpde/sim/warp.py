@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from nfpde.parameters import ParameterSpace
 from nfpde.sim.cpu import MujocoSimulator
 from nfpde.sim.simulator import Array, Simulator, check_rows
 from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes, WarpBatch
-from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory
+from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory, ran_out, room_for
 from nfpde.sim.warp_effects import WarpEffects
 from nfpde.sim.warp_model import WarpModel
 from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world
@@ -127,7 +127,8 @@ class WarpSimulator(Simulator):
         unit = self._check_unit(windows, scale)
         check_rows(vector, windows, whitening)
         if self._whitening is None or self._whitening.whitening is not whitening:
-            self._whitening = WarpWhitening(whitening, self.device)
+            with room_for(self.device, f"the whitening of {len(windows)} windows"):
+                self._whitening = WarpWhitening(whitening, self.device)
         out = np.zeros(len(xi))
         for part, own, batch in self._rows(xi, windows, vector, window, "residuals", unit):
             continues = part.start > 0 and bool(vector[part.start] == vector[part.start - 1])
@@ -162,7 +163,8 @@ class WarpSimulator(Simulator):
             if part.shape == whole:
                 return part
             if out is None:
-                out = wp.array(shape=whole, dtype=wp.float64, device=self.device)
+                with room_for(self.device, f"{whole[0]} x {whole[1]} losses"):
+                    out = wp.array(shape=whole, dtype=wp.float64, device=self.device)
             wp.copy(out[vectors, chosen], part)
         if out is None:
             raise BadInput("no parameter vector, or no window")
@@ -209,21 +211,27 @@ class WarpSimulator(Simulator):
         self._check_windows(windows)
         self._count(len(vector), windows)
         most = self._most_worlds(windows, output)
-        for start in range(0, len(vector), most):
-            part = slice(start, min(start + most, len(vector)))
+        parts = _cut(len(vector), most)
+        largest = _longest(parts)
+        # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
+        n = largest if len(parts) > 1 else min(most, 1 << (largest - 1).bit_length())
+        sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
+        for part in parts:
             vectors, v = np.unique(vector[part], return_inverse=True)
             chosen, w = np.unique(window[part], return_inverse=True)
-            n = min(most, 1 << (len(v) - 1).bit_length())  # few shapes, whose buffers are kept
-            sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
             yield part, window[part], self._run(sizes, xi[vectors], windows[chosen], scale=scale, pairs=(v, w))
 
     def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
         """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""
         output: Output = "states" if scale is None else "losses"
         self._count(len(xi) * len(windows), windows)
-        for vectors, chosen in _tiles(len(xi), len(windows), self._most_worlds(windows, output)):
-            nrow, nwindow = vectors.stop - vectors.start, chosen.stop - chosen.start
-            sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+        most = self._most_worlds(windows, output)
+        rows = _cut(len(xi), most)
+        columns = _cut(len(windows), max(1, most // _longest(rows)))
+        # one shape for all of them, so that only one is in memory
+        nrow, nwindow = _longest(rows), _longest(columns)
+        sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+        for vectors, chosen in product(rows, columns):
             part = windows[np.arange(chosen.start, chosen.stop)]
             yield vectors, chosen, self._run(sizes, xi[vectors], part, scale=scale)
 
@@ -252,7 +260,7 @@ class WarpSimulator(Simulator):
                     batch.pair(*pairs)
                 overflow = batch.run(np.ones(self.states.ndiff) if scale is None else scale)
             except RuntimeError as error:
-                if not any(word in str(error).lower() for word in ("alloc", "memory")):
+                if not ran_out(error):
                     raise
                 self._batches.clear()
                 raise out_of_memory(self.device, self._memory, wanted.nworld, self._bytes(wanted)) from None
@@ -313,14 +321,12 @@ class WarpSimulator(Simulator):
         self.simulated_steps += rows * windows.horizon * self.substeps(windows.control_dt)
 
 
-def _tiles(m: int, n: int, most: int) -> Iterator[tuple[slice, slice]]:
-    """Cut m vectors x n windows into near-equal tiles of at most `most` worlds, as many vectors in each as fit."""
-    for vectors in _cut(m, most):
-        for windows in _cut(n, max(1, most // (vectors.stop - vectors.start))):
-            yield vectors, windows
+def _longest(pieces: list[slice]) -> int:
+    return max((p.stop - p.start for p in pieces), default=1)
 
 
 def _cut(total: int, most: int) -> list[slice]:
+    """Cut so many into near-equal pieces of at most `most`."""
     pieces = -(-total // most)
     ends = np.linspace(0, total, pieces + 1).round().astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]

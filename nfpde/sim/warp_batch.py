@@ -80,7 +80,7 @@ class WarpBatch:
             self.m, self._fields = model.put(z.nrow, z.nworld)
             self._seen = {**self._fields, **model.views(self.m, effects.read_fields)}
             self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
-            self.m.callback.passive = self._flag_overflow
+            self.m.callback.passive = _flag_overflow
             self._staged_rows = wp.zeros((z.nrow, model.ncolumn), dtype=float)
             self._staged = Staged(
                 values=wp.zeros((z.nrow, max(1, effects.nvalue)), dtype=wp.float64),
@@ -309,14 +309,18 @@ class WarpBatch:
         field = self._fields[name]
         wp.launch(rows._gather_field, dim=field.shape, inputs=[self._staged_rows, row, columns.start], outputs=[field])
 
-    def _flag_overflow(self, m: mjw.Model, d: mjw.Data) -> None:
-        """Called by MuJoCo Warp in every evaluation of the forces, of which a Runge-Kutta step has four."""
-        wp.launch(
-            states._flag_overflow,
-            dim=d.nworld,
-            inputs=[d.nefc, d.nacon, d.ncollision, d.njmax, d.naconmax, int(_O.NEFC), int(_O.NARROWPHASE)],
-            outputs=[d.overflow],
-        )
+
+def _flag_overflow(m: mjw.Model, d: mjw.Data) -> None:
+    """Called by MuJoCo Warp in every evaluation of the forces, of which a Runge-Kutta step has four.
+
+    No method: a batch that its own model refers to would keep its memory until Python looks for such circles.
+    """
+    wp.launch(
+        states._flag_overflow,
+        dim=d.nworld,
+        inputs=[d.nefc, d.nacon, d.ncollision, d.njmax, d.naconmax, int(_O.NEFC), int(_O.NARROWPHASE)],
+        outputs=[d.overflow],
+    )
 
 
 def arrays_of(thing: Any) -> list[wp.array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Literal, get_args
 
@@ -56,6 +58,27 @@ def free_bytes(device: wp.Device) -> int:
 def most_worlds(memory: int, bytes_per_world: int) -> int:
     """How many worlds fit, at least 1."""
     return max(1, memory // max(1, bytes_per_world))
+
+
+def ran_out(error: RuntimeError) -> bool:
+    """Whether Warp's error says that memory could not be allocated; an illegal access to memory is none."""
+    text = str(error).lower()
+    return "failed to allocate" in text or "out of memory" in text
+
+
+@contextmanager
+def room_for(device: wp.Device, what: str) -> Iterator[None]:
+    """Around allocations other than those of the worlds.
+
+    Raises:
+        BadInput: no memory for `what`.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if not ran_out(error):
+            raise
+        raise BadInput(f"{device}: no memory for {what} beside the worlds; pass a smaller nworld") from None
 
 
 def out_of_memory(device: wp.Device, memory: int, nworld: int, bytes_per_world: int) -> BadInput:
