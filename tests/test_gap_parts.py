@@ -11,11 +11,12 @@ from nfpde.dataset import Dataset
 from nfpde.effects import effect
 from nfpde.errors import BadDataset
 from nfpde.gap.fit import PRIOR, Fit, Fitter
-from nfpde.gap.levels import Yardstick, noise_residuals, sensor_noise, shrink_interval
+from nfpde.gap.levels import Yardstick, noise_residuals, shrink_interval
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import screen
+from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.trial import block_test
 from nfpde.gap.where import needed_forces
 from nfpde.parameters import Parameter, ParameterSpace

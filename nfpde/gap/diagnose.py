@@ -15,12 +15,13 @@ from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit
 from nfpde.gap.fit import Fitter
-from nfpde.gap.levels import Yardstick, noise_residuals, sensor_noise
+from nfpde.gap.levels import Yardstick, noise_residuals
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import Recordings, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
 from nfpde.gap.select import Selection
+from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.trial import Court, Trial
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
@@ -67,9 +68,8 @@ def diagnose_gap(
     dataset = start.sim.prepare(dataset)
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
-    recordings = cut_recordings(
-        dataset, _history(candidates, dataset.control_dt), seed, windows or windows_for(mjmodel.nv)
-    )
+    history, lead = _history(candidates, dataset.control_dt)
+    recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead)
     check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
     nominal, base, court = _base_fit(start, recordings)
@@ -85,10 +85,12 @@ def diagnose_gap(
     return answer(outcome, time.monotonic() - begin)
 
 
-def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> int:
-    """Commands from before a window that any combination of three effects may need."""
+def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:
+    """Commands from before a window that any combination of three effects may need, and that any single one may."""
     times = sorted((e.memory_time() for e, _ in candidates), reverse=True)[:3]
-    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2 if times and times[0] > 0 else 0
+    if not times or times[0] <= 0:
+        return 0, 0
+    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2, int(np.ceil(times[0] / control_dt - 1e-9))
 
 
 def _nominal(start: Replay) -> Array:

@@ -14,8 +14,11 @@ from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
 
-STEP = 1e-4
-"""Finite-difference step, as a share of a parameter's bounds."""
+STEP, WIDEST = 1e-4, 0.02
+"""Finite-difference steps, as shares of a parameter's bounds: the smallest, and the widest."""
+
+RESOLVED = 0.3
+"""Finite-difference step in standard errors of a parameter: what contacts do between is no slope of any use."""
 
 PRIOR = 0.5
 """Standard deviation of a parameter about the middle of its bounds, as a share of their width: weak, and enough to
@@ -80,6 +83,10 @@ class Fitter:
         empty = np.zeros((d, *residuals.shape[1:]))
         return Fit(replay, self._xi(replay, u[best]), costs[best], scatter, residuals[best], empty, np.eye(d))
 
+    def residuals_at(self, replay: Replay, xi: Array) -> Array:
+        """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds."""
+        return self._residuals(replay, self._inside(replay, xi))
+
     def rescale(self, fit: Fit, scatter: Scatter) -> Fit:
         """The same place, counted with another scatter."""
         u = self._inside(fit.replay, fit.xi[None])[0]
@@ -123,8 +130,9 @@ class Fitter:
         sign = np.where(u > 0.5, -1.0, 1.0)[kept:]
         slopes = fit.slopes.copy()
         if d > kept:
-            moved = self._residuals(fit.replay, u + STEP * sign[:, None] * np.eye(d)[kept:])
-            slopes[kept:] = (moved - fit.residuals) / (STEP * sign[:, None, None, None])
+            step = sign * np.clip(RESOLVED / np.sqrt(np.diag(fit.information)[kept:]), STEP, WIDEST)
+            moved = self._residuals(fit.replay, u + step[:, None] * np.eye(d)[kept:])
+            slopes[kept:] = (moved - fit.residuals) / step[:, None, None, None]
             slopes[~np.isfinite(slopes)] = 0.0
         weight = fit.scatter.weights(fit.scatter.whiten(fit.residuals))
         white = _whiten_slopes(fit.scatter, slopes)

@@ -1,50 +1,20 @@
-"""How large a gap is: the noise of the sensors, the floor it puts under predictions, and the gap in its units."""
+"""How large a gap is: the floor that noise puts under predictions, and the gap in its units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.gap.noise import KAPPA
 from nfpde.gap.recordings import Recordings
-from nfpde.gap.replay import Replay
+from nfpde.gap.replay import Replay, started_beside
 
 Array = NDArray[np.float64]
 
 _DRAWS = 500
-_MAD = 1.4826
-"""Ratio of standard deviation to median absolute deviation of a Gaussian."""
-
-
-def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
-    """Standard deviation of the sensors' noise on every channel of a difference, (2 nv,).
-
-    One-step residuals r(t) = e(t+1) - A e(t) + gap hold the noise e twice, with opposite signs. The second difference
-    r(t) - (r(t-1) + r(t+1)) / 2 removes a gap that lasts for a few steps, and with A near one has variance 5 var(e).
-    The median keeps out contacts and jumps.
-
-    Args:
-        replay: The model that predicts.
-        xi: Its free parameters (D,).
-        rows: Windows of one control step, many of them in succession.
-    """
-    states = replay.predict(xi[None], rows)[0]
-    r = replay.sim.states.difference(states, rows.target)[:, 0]
-    follows = (np.diff(rows.row) == 1) & (np.diff(rows.episode) == 0)
-    middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
-    if len(middle) < 8:
-        return np.zeros(r.shape[1])
-    high = r[middle] - 0.5 * (r[middle - 1] + r[middle + 1])
-    sound = np.isfinite(high).all(1)
-    high, episode = high[sound], rows.episode[middle][sound]
-    # by episode, because the median of episodes with unlike noise would lie below their mean square
-    parts = [high[episode == e] for e in np.unique(episode)]
-    variance = [len(p) * (_MAD * np.median(np.abs(p), axis=0)) ** 2 for p in parts]
-    return np.sqrt(np.sum(variance, axis=0) / max(1, len(high)) / 5.0) * np.ones(r.shape[1])
 
 
 def noise_residuals(
@@ -56,13 +26,7 @@ def noise_residuals(
     """
     model, nv = replay.sim.model, replay.nv
     rng = np.random.default_rng(seed)
-    start = windows.state[:, 0].copy()
-    shift = rng.normal(size=(len(windows), 2 * nv)) * sigma
-    for qpos, dq in zip(start[:, : model.nq], shift[:, :nv], strict=True):
-        mujoco.mj_integratePos(model, qpos, dq, 1.0)
-    start[:, model.nq :] += shift[:, nv:]
-    state = np.concatenate([start[:, None], windows.state[:, 1:]], axis=1)
-    moved = replace(windows, state=state)
+    moved = started_beside(model, windows, rng.normal(size=(len(windows), 2 * nv)) * sigma)
     steps = np.array(recordings.horizons) - 1
     a = replay.predict(xi[None], windows)[0][:, steps]
     b = replay.predict(xi[None], moved)[0][:, steps]
@@ -85,7 +49,7 @@ class Yardstick:
     @classmethod
     def of(cls, noise: Array, base: Array) -> Yardstick:
         """From residuals that noise alone gives (N, nv, C) and those of the base model."""
-        total = _calm(noise**2).mean(0) + KAPPA**2 * _calm(base**2).mean(0)
+        total = calm(noise**2).mean(0) + KAPPA**2 * calm(base**2).mean(0)
         return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), noise)
 
     def squares(self, residuals: Array) -> Array:
@@ -93,14 +57,14 @@ class Yardstick:
 
         Where a contact opens or closes a residual jumps; a few of those would outweigh everything else.
         """
-        return _calm((residuals / self.scale) ** 2)
+        return calm((residuals / self.scale) ** 2)
 
     def gap(self, residuals: Array) -> Array:
         """Gap of every window (N,)."""
         return self.squares(residuals).mean((1, 2))
 
 
-def _calm(squares: Array) -> Array:
+def calm(squares: Array) -> Array:
     """Squares (N, nv, C) with the largest fiftieth of every channel, and what diverged, brought down to its bound."""
     filled = np.where(np.isfinite(squares), squares, np.inf)
     bound = np.quantile(filled, 0.98, axis=0, method="lower")

@@ -29,6 +29,9 @@ LEAST_USED = 80
 BLOCK = 5
 """Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other."""
 
+MOST_LEFT_OUT = 0.2
+"""Share of the windows that may be left out at the beginnings of episodes."""
+
 FEWEST = 20
 """Windows below which nothing is said."""
 
@@ -56,7 +59,7 @@ def windows_for(nv: int) -> int:
     return int(np.clip(2000 // max(nv, 1), LEAST_USED, MOST_WINDOWS))
 
 
-def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int) -> Recordings:
+def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
     Args:
@@ -64,6 +67,8 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int) -> R
         history: Commands needed from before a window's start.
         seed: Decides which episodes are held out.
         windows: Most windows of each half.
+        lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
+            where enough others do.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
@@ -71,6 +76,9 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int) -> R
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
     every = dataset.windows(steps, history=history)
+    settled = np.flatnonzero(every.row >= lead)
+    if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
+        every = every[settled]
     held_episodes = _held_out(lengths, steps, seed)
     if held_episodes is None:
         late = every.row + steps > (lengths[0] - 1) // 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -100,3 +101,13 @@ class Replay:
         """Differences (..., h, 2 nv) to (..., nv, 2 h): positions at every horizon, then velocities."""
         nv = self.nv
         return np.concatenate([difference[..., :nv], difference[..., nv:]], axis=-2).swapaxes(-1, -2)
+
+
+def started_beside(model: mujoco.MjModel, windows: Windows, shift: Array) -> Windows:
+    """The windows with their starts moved by (2 nv,) or (N, 2 nv), positions in tangent space."""
+    start = windows.state[:, 0].copy()
+    shift = np.broadcast_to(shift, (len(windows), 2 * model.nv))
+    for qpos, dq in zip(start[:, : model.nq], shift[:, : model.nv], strict=True):
+        mujoco.mj_integratePos(model, qpos, dq, 1.0)
+    start[:, model.nq :] += shift[:, model.nv :]
+    return replace(windows, state=np.concatenate([start[:, None], windows.state[:, 1:]], axis=1))

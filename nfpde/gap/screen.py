@@ -16,6 +16,7 @@ from scipy.optimize import lsq_linear
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.replay import Replay
+from nfpde.gap.search import spread
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,7 @@ def screen(
     span = _span(base, root)
     residual = residual - span @ (span.T @ residual)
     own = base.scatter.log_density(base.residuals).sum()
+    gap = spread(base.residuals, base.scatter.floor)
     found = []
     for done, (effect, values) in enumerate(candidates):
         replay = replay_with(effect)
@@ -74,6 +76,8 @@ def screen(
         changes = changes.reshape(len(values), -1)
         changes = changes - (changes @ span) @ span.T
         gain = float((base.scatter.log_density(there).sum(-1) - own).max())
+        if effect.whole == "contact":
+            gain = max(gain, *(gap - spread(r, base.scatter.floor) for r in there))
         found.append(_judge(effect, replay, values, residual, changes, gain))
         report(done + 1)
     return sorted(found, key=lambda s: -s.explained)

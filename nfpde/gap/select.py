@@ -23,10 +23,10 @@ MOST_EFFECTS = 3
 """Effects accepted at most."""
 
 WORTH = 0.02
-"""Share of the gap, as it was before any effect, that an effect must remove to be named: less is of no use."""
+"""Share of the gap that an effect must remove to be named: less is of no use."""
 
 FLOOR_ERROR = 0.1
-"""Relative error to be expected of the noise floor."""
+"""Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
 
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
@@ -73,7 +73,7 @@ class Selection:
     def run(self, base: Trial) -> tuple[Trial, list[Accepted]]:
         """Select; returns the final trial and the accepted effects in the order of their acceptance."""
         current, accepted = base, list[Accepted]()
-        first_gap = float(self.yardstick.gap(base.held).mean())
+        first_gap = self._gap(base)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
             if len(accepted) == MOST_EFFECTS or (accepted and self._at_floor(current)):
                 break
@@ -99,7 +99,10 @@ class Selection:
     def _at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much."""
         floor = float(self.yardstick.squares(self.yardstick.noise).mean())
-        return float(self.yardstick.gap(trial.held).mean()) < (1 + FLOOR_ERROR) * floor
+        return self._gap(trial) < floor + FLOOR_ERROR
+
+    def _gap(self, trial: Trial) -> float:
+        return float(self.yardstick.gap(trial.held).mean())
 
     def without(self, trial: Trial, index: int) -> Trial:
         """The trial without one of its effects, refitted."""
@@ -145,11 +148,16 @@ class Selection:
 
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
-        best = trials[0] if trials else None
-        if best is None:
+        gap = self._gap(current)
+        worth = min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
+        tried = len(trials)
+        # what fits the noise better and leaves the gap explains nothing
+        trials = [t for t in trials if gap - self._gap(t) >= worth]
+        if not trials:
             return None
+        best = trials[0]
         gain, _, p = self.court.gain(best, current)
-        if gain <= 0 or p > LEVEL / len(trials):
+        if gain <= 0 or p > LEVEL / tried:
             return None
         block = self.court.recordings.block
         near, equal = [], []
@@ -161,8 +169,7 @@ class Selection:
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
         chosen = min(near, key=lambda t: (len(_parameters(t)), -t.density.mean()))
-        removed = float(self.yardstick.gap(current.held).mean() - self.yardstick.gap(chosen.held).mean())
-        if chosen.effect is None or removed < WORTH * first_gap:
+        if chosen.effect is None:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))
 

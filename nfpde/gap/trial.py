@@ -15,6 +15,7 @@ from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.noise import Scatter, learn_scatter
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.screen import Screened
+from nfpde.gap.search import search
 
 Array = NDArray[np.float64]
 
@@ -104,16 +105,21 @@ class Court:
             starts = [
                 np.hstack([np.broadcast_to(xi, (len(s.guesses), len(xi))), s.guesses]) for xi in (base.xi, straight)
             ]
-            fit = some.start(s.replay, np.concatenate(starts), base.scatter)
-            fit.slopes[: len(base.xi)] = part.slopes
-            fit = some.improve(fit, 2, kept=len(base.xi))
+            guesses = np.concatenate(starts)
+            if s.effect.whole == "contact":
+                fit = search(some, s.replay, s.effect, guesses, part.scatter)
+            else:
+                fit = some.start(s.replay, guesses, part.scatter)
+                fit.slopes[: len(base.xi)] = part.slopes
+                fit = some.improve(fit, 2, kept=len(base.xi))
             fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)
+            fit = self.fitter.rescale(fit, self.scatter(fit))
             if base.cost - fit.cost > LEAST_GAIN:
-                rough.append((s, self.fitter.rescale(fit, self.scatter(fit))))
+                rough.append((s, fit))
         rough.sort(key=lambda pair: pair[1].cost)
         trials = []
         for s, fit in rough[:SECOND]:
-            fit = self.fitter.improve(self.fitter.rescale(fit, self.scatter(fit)), 2)
+            fit = self.fitter.improve(fit, 2)
             trials.append(self.judge(s.effect, self.settle(fit, kept=len(base.xi))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
 
