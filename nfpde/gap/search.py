@@ -22,8 +22,11 @@ Array = NDArray[np.float64]
 ROUNDS, SAMPLES, ELITE = 5, 16, 4
 """Rounds, samples in each, and those of them that the next round gathers about."""
 
-_WIDTH, _NARROW = 1.0, 0.3
-"""First standard deviation of the samples' logarithms, and the least share of it that is left after each round."""
+WIDE, NEAR = 1.0, 0.15
+"""First standard deviation of the samples' logarithms: of effects of unknown size, and of those that were fitted."""
+
+_NARROW = 0.3
+"""Least share of a standard deviation that is left after each round."""
 
 
 def spread(residuals: Array, floor: Array) -> float:
@@ -32,38 +35,41 @@ def spread(residuals: Array, floor: Array) -> float:
     return 0.5 * len(residuals) * float(np.log(variance).sum())
 
 
-def search(fitter: Fitter, replay: Replay, effect: Effect, guesses: Array, scatter: Scatter, seed: int = 0) -> Fit:
-    """The best of what cross-entropy search finds for the last effect's values; other parameters as in a guess.
+def search(
+    fitter: Fitter, replay: Replay, index: int, guesses: Array, scatter: Scatter, width: float = WIDE, seed: int = 0
+) -> Fit:
+    """The best of what cross-entropy search finds for an effect's values; other parameters as in a guess.
 
     Args:
         fitter: Of the windows.
-        replay: With the effect as its last.
-        effect: It.
+        replay: What is simulated.
+        index: Which of its effects.
         guesses: Free parameters to start from (G, D); the best of them is searched about.
         scatter: What the cost of the fit is counted with.
+        width: First standard deviation of the samples' logarithms.
         seed: Of the samples.
     """
+    columns, effect = replay.columns(index), replay.effects[index]
     size = len(effect.parameters)
     floor = scatter.floor
-    residuals = fitter.residuals_at(replay, guesses)
-    costs = [spread(r, floor) for r in residuals]
+    costs = [spread(r, floor) for r in fitter.residuals_at(replay, guesses)]
     first = int(np.argmin(costs))
     best, best_cost = guesses[first], costs[first]
-    away = _Away.of(effect, best[-size:])
-    middle, width = away.inward(best[-size:]), np.full(size, _WIDTH)
+    away = _Away.of(effect, best[columns])
+    middle, widths = away.inward(best[columns]), np.full(size, width)
     at, cost = middle[None], np.array([best_cost])
     total = ROUNDS * SAMPLES
     draws = norm.ppf(qmc.Sobol(size, seed=seed).random(1 << (total - 1).bit_length())[:total])
-    low, high = replay.low[-size:], replay.high[-size:]
+    low, high = replay.low[columns], replay.high[columns]
     for part in draws.reshape(ROUNDS, SAMPLES, size):
-        values = np.clip(away.outward(middle + width * part), low, high)
-        xi = np.hstack([np.broadcast_to(best[:-size], (SAMPLES, len(best) - size)), values])
+        xi = np.tile(best, (SAMPLES, 1))
+        xi[:, columns] = np.clip(away.outward(middle + widths * part), low, high)
         found = np.array([spread(r, floor) for r in fitter.residuals_at(replay, xi)])
         if found.min() < best_cost:
             best, best_cost = xi[int(found.argmin())], float(found.min())
-        at, cost = np.concatenate([at, away.inward(values)]), np.concatenate([cost, found])
+        at, cost = np.concatenate([at, away.inward(xi[:, columns])]), np.concatenate([cost, found])
         elite = at[np.argsort(cost, kind="stable")[:ELITE]]
-        middle, width = elite.mean(0), np.maximum(elite.std(0, ddof=1), _NARROW * width)
+        middle, widths = elite.mean(0), np.maximum(elite.std(0, ddof=1), _NARROW * widths)
     return fitter.start(replay, best[None], scatter)
 
 

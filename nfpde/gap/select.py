@@ -13,7 +13,8 @@ from nfpde.effects import Effect
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.trial import APART, LEVEL, Court, Trial, block_test
+from nfpde.gap.search import NEAR, search
+from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -93,6 +94,11 @@ class Selection:
     def _polish(self, trial: Trial) -> Trial:
         """The accepted effects and the parameters fitted once more, all slopes renewed at every step."""
         fit = self.court.settle(trial.fit, iterations=6)
+        if any(e.whole == "contact" for e, _ in self.candidates):  # slopes mislead: look about the values too
+            for index in range(len(fit.replay.effects)):
+                found = search(self.court.fitter, fit.replay, index, fit.xi[None], fit.scatter, NEAR)
+                found = self.court.settle(found, rounds=1)
+                fit = found if found.cost < fit.cost else fit
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
@@ -125,6 +131,10 @@ class Selection:
             replays.append(self._replay([*current.fit.replay.effects, effect]))
             return replays[-1]
 
+        if len(open_ones) > MANY:
+            glanced = screen(*self.court.screening(base, GLANCED), open_ones, replay_with)[:MANY]
+            kept = {key(s.effect) for s in glanced}
+            open_ones = [(e, values) for e, values in open_ones if key(e) in kept]
         screened = screen(*self.court.screening(base), open_ones, replay_with)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = self.court.refit(base, screened)

@@ -36,6 +36,12 @@ candidates that much comes by chance, and more is needed where no fit saw the da
 SCREENED = 60
 """Windows that candidates are screened on."""
 
+GLANCED, MANY = 20, 60
+"""Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
+
+HOPEFUL = 0.5
+"""Candidates that explain less than this share of what the best does are not fitted to the end."""
+
 FIRST, SECOND = 8, 4
 """Candidates refitted roughly, and to the end."""
 
@@ -69,10 +75,10 @@ class Court:
     floor: Array
     nominal: Array
 
-    def screening(self, base: Fit) -> tuple[Fitter, Fit]:
+    def screening(self, base: Fit, count: int = SCREENED) -> tuple[Fitter, Fit]:
         """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them."""
         windows = self.fitter.windows
-        some = np.unique(np.linspace(0, len(windows) - 1, SCREENED).round().astype(int))
+        some = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
         part = replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
         return Fitter(windows[some], self.fitter.horizons), part
 
@@ -107,7 +113,7 @@ class Court:
             ]
             guesses = np.concatenate(starts)
             if s.effect.whole == "contact":
-                fit = search(some, s.replay, s.effect, guesses, part.scatter)
+                fit = search(some, s.replay, len(s.replay.effects) - 1, guesses, part.scatter)
             else:
                 fit = some.start(s.replay, guesses, part.scatter)
                 fit.slopes[: len(base.xi)] = part.slopes
@@ -117,10 +123,13 @@ class Court:
             if base.cost - fit.cost > LEAST_GAIN:
                 rough.append((s, fit))
         rough.sort(key=lambda pair: pair[1].cost)
+        close = [(s, self.fitter.improve(fit, 2)) for s, fit in rough[:SECOND]]
+        most = max((base.cost - fit.cost for _, fit in close), default=0.0)
         trials = []
-        for s, fit in rough[:SECOND]:
-            fit = self.fitter.improve(fit, 2)
-            trials.append(self.judge(s.effect, self.settle(fit, kept=len(base.xi))))
+        for s, fit in close:
+            if base.cost - fit.cost >= HOPEFUL * most:
+                fit = self.settle(fit, kept=len(base.xi))
+            trials.append(self.judge(s.effect, self.fitter.rescale(fit, self.scatter(fit))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
 
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
