@@ -50,6 +50,7 @@ def finished_cell(**changes):
         },
         "steps_per_core_second": 1e5,
         "settings": {},
+        "device": "cpu: double precision",
         "code": {"softmax": "a", "trajectory": "b"},
         "versions": {},
         "machine": "m",

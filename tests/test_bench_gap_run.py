@@ -1,8 +1,10 @@
 """The benchmark from end to end, with a diagnosis that is made up."""
 
 import json
+import pathlib
 import sys
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -69,6 +71,22 @@ def test_a_run_goes_from_systems_to_a_table_and_goes_on(stub, quick, tmp_path, m
     before = (folder / "answers" / "0001.json").stat().st_mtime_ns
     assert len(bench.run(31, out, cases=3, folder=folder, command=stub)) == 3
     assert (folder / "answers" / "0001.json").stat().st_mtime_ns == before
+
+
+def test_the_diagnosis_is_told_its_device(stub, quick, tmp_path, capsys):
+    """The device is passed on, the table has its name, and says what the diagnosis itself says it ran on."""
+    path = pathlib.Path(stub[1])
+    path.write_text(path.read_text().replace('"schema": 1,', '"schema": 1, "device": "warp-cpu: a stub",'))
+    folder, out = tmp_path / "work", tmp_path / "out"
+    bench.run(31, out, cases=1, folder=folder, command=stub, device="warp-cpu")
+    answer = json.loads((folder / "answers" / "0000.json").read_text())["diagnosis"]
+    assert answer["args"][:2] == ["--device", "warp-cpu"]
+    page = (out / "gap_warp-cpu.md").read_text()
+    assert "simulated on warp-cpu: a stub." in page
+    assert "bench gap --seed 31 --cases 1 --limit 300 --device warp-cpu" in page
+    unknown: Any = "tpu"
+    with pytest.raises(BadInput, match="'tpu'; there are: auto, cpu, cuda, warp-cpu"):
+        bench.run(31, out, cases=1, folder=folder, command=stub, device=unknown)
 
 
 def test_a_diagnosis_that_fails_or_hangs_is_a_row(quick, tmp_path):

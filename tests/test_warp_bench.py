@@ -2,11 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from nfpde.bench import losses_warp
+from nfpde.bench.estimation.calibration import CalibrationSettings, problem
+from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.benchmarks import robot
 from nfpde.errors import BadInput
+from nfpde.estimation import TrajectoryConfig
 from nfpde.sim.warp import WarpSimulator
 
 
@@ -43,3 +47,19 @@ def test_other_devices_are_refused(tmp_path):
     """The table of the plain CPU is another command's."""
     with pytest.raises(BadInput, match="cuda or warp-cpu"):
         losses_warp.run(True, tmp_path, "cpu")
+
+
+def test_a_problem_of_the_calibration_on_both_devices():
+    """The same recordings fitted with either simulator: best values apart by a fraction of their standard deviation."""
+    settings = CalibrationSettings(TrajectoryConfig(starts=2, steps=4, rounds=3), steps=30, samples=99)
+    here, there = (problem("pendulum", False, settings, 0, device) for device in ("cpu", "warp-cpu"))
+    assert here["true"] == there["true"]
+    apart = np.abs(np.array(there["value"]) - here["value"])
+    assert (apart < 0.05 * np.array(here["std"])).all()
+
+
+def test_a_file_says_where_its_fits_were_simulated():
+    """Nothing on the CPU, as in all files before; elsewhere the device and what it is."""
+    body = robot("hopper")
+    assert facts_of_device(body, "cpu") == {}
+    assert facts_of_device(body, "warp-cpu")["device"].startswith("warp-cpu: MuJoCo Warp")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from nfpde.cli.models import DEVICE_HELP
 from nfpde.sim import Device
 
 app = typer.Typer(help="Benchmarks of the package; each prints a table and writes it as Markdown and JSON.")
@@ -67,6 +68,7 @@ def estimation(
     quick: Annotated[bool, typer.Option(help="one tiny cell, or a few tiny problems")] = False,
     refit: Annotated[bool, typer.Option(help="fit anew by trajectory what other code fitted, keep softmax")] = False,
     budget_minutes: Annotated[float | None, typer.Option(help="begin no further fit after so long")] = None,
+    device: Annotated[Device, typer.Option(help=f"where fits simulate: {DEVICE_HELP}")] = "cpu",
     out: Out = Path("docs/results"),
 ) -> None:
     """Whole trajectories beside softmax, cell by cell; goes on where it stopped."""
@@ -80,6 +82,7 @@ def estimation(
         quick=quick,
         refit=refit,
         budget_minutes=budget_minutes,
+        device=device,
     )
 
 
@@ -92,6 +95,7 @@ def gap(
     folder: Annotated[Path | None, typer.Option(help="finished cases and keys; runs/gap-SEED by default")] = None,
     quick: Annotated[bool, typer.Option(help="12 systems at most")] = False,
     out: Out = Path("docs/results"),
+    device: Annotated[Device, typer.Option(help=f"where the diagnosis simulates: {DEVICE_HELP}")] = "auto",
     draw_only: Annotated[bool, typer.Option(help="only write the systems, with keys beside: to develop on")] = False,
 ) -> None:
     """Hidden faults against `nfpde diagnose`: cause, place, value, false alarms. Go on by the same command."""
@@ -101,4 +105,4 @@ def gap(
         folder = folder or Path("runs") / f"gap-{seed}"
         bench.draw_only(seed, folder / "systems", folder / "keys", cases=bench.QUICK_CASES if quick else cases)
         return
-    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder)
+    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=device)

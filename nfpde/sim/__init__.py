@@ -6,6 +6,7 @@ from nfpde.sim.export import export_mjcf as export_mjcf
 from nfpde.sim.model import load_model as load_model
 from nfpde.sim.model import model_hash as model_hash
 from nfpde.sim.select import Device as Device
+from nfpde.sim.select import found_device as found_device
 from nfpde.sim.select import make_simulator as make_simulator
 from nfpde.sim.select import runs_on as runs_on
 from nfpde.sim.simulator import LOSS_LIMIT as LOSS_LIMIT

@@ -47,15 +47,25 @@ def make_simulator(
         BadModel, BadEffect: what MuJoCo Warp does not support; the text says what to change.
         BadParameter: see `MujocoSimulator`.
     """
-    if device not in get_args(Device):
-        raise BadInput(f"no device is called {device!r}; there are: {', '.join(get_args(Device))}")
-    if device == "auto":
-        device = "cuda" if _finds_cuda() else "cpu"
-    if device == "cpu":
+    device = found_device(device)
+    if device == "cpu" or device == "auto":
         return MujocoSimulator(model, space, effects, check_influence=check_influence)
     from nfpde.sim.warp import WarpSimulator  # a second of imports, where it is used
 
     return WarpSimulator(model, space, effects, device=device, nworld=nworld, check_influence=check_influence)
+
+
+def found_device(device: Device) -> Device:
+    """The device that a name stands for: `auto` is `cuda` if Warp finds a CUDA device, else `cpu`.
+
+    Raises:
+        BadInput: no such device.
+    """
+    if device not in get_args(Device):
+        raise BadInput(f"no device is called {device!r}; there are: {', '.join(get_args(Device))}")
+    if device != "auto":
+        return device
+    return "cuda" if _finds_cuda() else "cpu"
 
 
 def runs_on(simulator: MujocoSimulator | WarpSimulator) -> str:

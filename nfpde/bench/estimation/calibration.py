@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from nfpde.bench.estimation.calibration_table import table
+from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.bench.estimation.ranks import draw_ranks, rank_of
 from nfpde.bench.estimation.sensing import apart, with_noise
 from nfpde.bench.estimation.stages import Budget, OutOfTime, Stages
 from nfpde.benchmarks import record, robot
 from nfpde.errors import BadInput
 from nfpde.estimation import TrajectoryConfig, fit
-from nfpde.sim import MujocoSimulator
+from nfpde.sim import Device, found_device, make_simulator
 from nfpde.storage import write_whole
 
 EPISODES = {"pendulum": 1, "hopper": 4}
@@ -54,6 +55,7 @@ def calibrate(
     problems: int = 100,
     quick: bool = False,
     budget_minutes: float | None = None,
+    device: Device = "cpu",
 ) -> bool:
     """Measure the problems that are not finished yet; write calibration.md, and JSON and a PNG for each robot.
 
@@ -67,28 +69,34 @@ def calibrate(
         problems: of each robot.
         quick: a few tiny problems of the pendulum instead, in `calibration_quick/`.
         budget_minutes: no further problem is begun after so long.
+        device: where the fits are simulated; the table of another one than the CPU is `calibration_<device>`.
 
     Returns:
         Whether all problems are finished.
 
     Raises:
-        BadInput: an unknown robot, or no problem.
+        BadInput: an unknown robot, no problem, or no such device.
     """
+    device = found_device(device)
     if problems < 1:
         raise BadInput(f"problems must be at least 1, got {problems}")
     settings = QUICK if quick else CalibrationSettings()
     names, count = (["pendulum"], QUICK_PROBLEMS) if quick else (list(robots), problems)
-    folder = out / ("calibration_quick" if quick else "calibration")
+    elsewhere = device != "cpu"
+    folder = out / ("calibration" + (f"_{device}" if elsewhere else "") + ("_quick" if quick else ""))
     budget = Budget.of(budget_minutes)
     kinds = [(name, anew) for anew in (False, True) for name in names]
-    complete = all(_robot(name, anew, folder, settings, count, budget) for name, anew in kinds)
-    text = table(folder, "nfpde bench estimation --calibration" + (" --quick" if quick else ""))
+    complete = all(_robot(name, anew, folder, settings, count, budget, device) for name, anew in kinds)
+    options = (f" --device {device}" if elsewhere else "") + (" --quick" if quick else "")
+    text = table(folder, f"nfpde bench estimation --calibration{options}")
     print(text)
     write_whole(out / f"{folder.name}.md", text)
     return complete
 
 
-def _robot(name: str, anew: bool, folder: Path, settings: CalibrationSettings, count: int, budget: Budget) -> bool:
+def _robot(
+    name: str, anew: bool, folder: Path, settings: CalibrationSettings, count: int, budget: Budget, device: Device
+) -> bool:
     """All problems of one kind that are not finished yet, and their picture; whether none is left."""
     parameters = robot(name).space.names
     facts = {
@@ -97,6 +105,7 @@ def _robot(name: str, anew: bool, folder: Path, settings: CalibrationSettings, c
         "problems": count,
         "episodes": EPISODES.get(name, DEFAULT_EPISODES),
         "settings": asdict(settings),
+        **facts_of_device(robot(name), device),
     }
     stages = Stages(folder, f"{name}_anew" if anew else name, facts, budget)
     if stages.finished() is not None:
@@ -104,7 +113,7 @@ def _robot(name: str, anew: bool, folder: Path, settings: CalibrationSettings, c
     complete = True
     try:
         for i in range(count):
-            stages(f"{i}", partial(problem, name, anew, settings, i))
+            stages(f"{i}", partial(problem, name, anew, settings, i, device))
         stages.finish()
     except OutOfTime:
         complete = False
@@ -116,7 +125,7 @@ def _robot(name: str, anew: bool, folder: Path, settings: CalibrationSettings, c
     return complete
 
 
-def problem(name: str, anew: bool, settings: CalibrationSettings, index: int) -> dict[str, Any]:
+def problem(name: str, anew: bool, settings: CalibrationSettings, index: int, device: Device = "cpu") -> dict[str, Any]:
     """One problem: draw, record, fit; ranks of the true values, with errors in posterior standard deviations."""
     body = robot(name)
     rng = np.random.default_rng([index, 2])
@@ -125,7 +134,7 @@ def problem(name: str, anew: bool, settings: CalibrationSettings, index: int) ->
     episodes = EPISODES.get(name, DEFAULT_EPISODES)
     clean = record(body, xi.repeat(episodes, 0), steps=settings.steps, rng=rng, labels=[name] * episodes)
     dataset, _ = with_noise(body.model, apart(clean) if anew else clean, share, index)
-    simulator = MujocoSimulator(body.path, body.space)
+    simulator = make_simulator(body.path, body.space, device=device)
     result = fit(simulator, dataset, method="trajectory", config=settings.trajectory, seed=index, quiet=True)
     posterior = result.episodes or result.distribution
     samples = posterior.sample(settings.samples, seed=index)

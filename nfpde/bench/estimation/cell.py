@@ -16,13 +16,13 @@ from nfpde.bench.estimation.bound import information_bound, unmoved
 from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.estimation.stages import code_of, results
 from nfpde.bench.estimation.temperature import FACTORS, chosen, oracle, score
-from nfpde.benchmarks import Target, collect, robot
+from nfpde.benchmarks import Robot, Target, collect, robot
 from nfpde.dataset import Dataset
 from nfpde.distribution import ParameterDistribution
 from nfpde.estimation import FitResult, NfpdeConfig, TrajectoryConfig, fit
 from nfpde.evaluate import Evaluation, evaluate
 from nfpde.losses import increment_scale
-from nfpde.sim import MujocoSimulator
+from nfpde.sim import Device, MujocoSimulator, Simulator, make_simulator, runs_on
 from nfpde.truth import Truth
 
 Array = NDArray[np.float64]
@@ -54,6 +54,13 @@ class Settings:
     steps: int = 150
 
 
+def facts_of_device(body: Robot, device: Device) -> dict[str, str]:
+    """What a file says of where its fits were simulated; nothing where that is the CPU, as in all files before."""
+    if device == "cpu":
+        return {}
+    return {"device": runs_on(make_simulator(body.path, body.space, device=device, check_influence=False))}
+
+
 QUICK = Settings(
     NfpdeConfig(iterations=3, samples=50, transitions=8, transforms=2, hidden=16),
     TrajectoryConfig(starts=2, steps=4, rounds=3),
@@ -77,9 +84,9 @@ class Cell:
         return f"{self.robot}_{self.target}_{self.noise:g}_{self.seed}"
 
 
-def measure(cell: Cell, settings: Settings, stage: Stage) -> None:
-    """Record, fit both ways, measure; every fit is a stage."""
-    work = _Work(cell, settings)
+def measure(cell: Cell, settings: Settings, stage: Stage, device: Device = "cpu") -> None:
+    """Record, fit both ways on a device, measure; every fit is a stage."""
+    work = _Work(cell, settings, device)
     data = {"episodes": settings.episodes, "steps": settings.steps}
     measured = data | {"samples": settings.samples}
     by_softmax = measured | asdict(settings.softmax)
@@ -103,6 +110,7 @@ def assemble(content: dict[str, Any]) -> dict[str, Any]:
     return {
         "cell": facts["cell"],
         "settings": facts["settings"],
+        "device": facts.get("device", "cpu: MuJoCo, double precision"),
         "parameters": space.names,
         "width": space.width.tolist(),
         "before": found[OWN]["before"],
@@ -120,8 +128,9 @@ def assemble(content: dict[str, Any]) -> dict[str, Any]:
 class _Work:
     """The computations of a cell's stages; each gives plain JSON values. Nothing is recorded before it is needed."""
 
-    def __init__(self, cell: Cell, settings: Settings) -> None:
+    def __init__(self, cell: Cell, settings: Settings, device: Device) -> None:
         self.cell, self.settings = cell, settings
+        self.device: Device = device
         self.body = robot(cell.robot)
 
     @property
@@ -143,8 +152,15 @@ class _Work:
 
     @cached_property
     def simulator(self) -> MujocoSimulator:
-        """Of the robot."""
+        """Of the robot, in double precision: measures what was fitted."""
         return MujocoSimulator(self.body.path, self.body.space)
+
+    @cached_property
+    def fitting(self) -> Simulator:
+        """Of the robot, on the device: what is fitted with."""
+        if self.device == "cpu":
+            return self.simulator
+        return make_simulator(self.body.path, self.body.space, device=self.device)
 
     def softmax(self, beta: float | None) -> dict[str, Any]:
         result, counts = self._fit("softmax", replace(self.settings.softmax, beta=beta))
@@ -185,7 +201,7 @@ class _Work:
             return None
         dataset = unmoved(self.simulator, *self.recorded, self.friction)
         result = fit(
-            self.simulator,
+            self.fitting,
             dataset,
             method="trajectory",
             config=self.settings.trajectory,
@@ -218,7 +234,7 @@ class _Work:
     def _fit(self, method: Any, config: Any) -> tuple[FitResult, dict[str, float]]:
         # the first optimiser of a process loads torch's compiler: seconds that are no fit's
         torch.optim.Adam([torch.zeros(1)])
-        simulator, dataset = self.simulator, self.measured[0]
+        simulator, dataset = self.fitting, self.measured[0]
         begun, cpu = time.perf_counter(), time.process_time()
         result = fit(simulator, dataset, method=method, config=config, seed=self.cell.seed, quiet=True)
         counts = {

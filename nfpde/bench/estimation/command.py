@@ -9,6 +9,7 @@ from typing import Any
 from nfpde.bench.estimation.calibration import calibrate
 from nfpde.bench.estimation.grid import run
 from nfpde.errors import BadInput
+from nfpde.sim import Device
 
 TYPES: dict[str, Callable[[str], Any]] = {"robots": str, "targets": str, "noises": float, "seeds": int}
 
@@ -22,6 +23,7 @@ def command(
     quick: bool,
     refit: bool,
     budget_minutes: float | None,
+    device: Device = "cpu",
 ) -> bool:
     """Run what the options ask for; see `run` and `calibrate`.
 
@@ -33,6 +35,7 @@ def command(
         quick: tiny sizes.
         refit: fit anew by trajectory what other code fitted.
         budget_minutes: when to stop.
+        device: where fits are simulated.
 
     Raises:
         BadInput: an entry that is no number where one is needed.
@@ -40,8 +43,8 @@ def command(
     given = {name: split(name, text) for name, text in lists.items() if text is not None}
     if calibration:
         robots = {"robots": given["robots"]} if "robots" in given else {}
-        return calibrate(out, problems=problems, quick=quick, budget_minutes=budget_minutes, **robots)
-    return run(out, quick=quick, refit=refit, budget_minutes=budget_minutes, **given)
+        return calibrate(out, problems=problems, quick=quick, budget_minutes=budget_minutes, device=device, **robots)
+    return run(out, quick=quick, refit=refit, budget_minutes=budget_minutes, device=device, **given)
 
 
 def split(name: str, text: str) -> list[Any]:

@@ -9,11 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
-from nfpde.bench.estimation.cell import QUICK, TRAJECTORY, Cell, Settings, assemble, measure
+from nfpde.bench.estimation.cell import QUICK, TRAJECTORY, Cell, Settings, assemble, facts_of_device, measure
 from nfpde.bench.estimation.stages import SCHEMA_VERSION, Budget, OutOfTime, Stages
 from nfpde.bench.estimation.table import line, order, row, table
 from nfpde.benchmarks import ROBOTS, Target, robot
 from nfpde.errors import BadInput
+from nfpde.sim import Device, found_device
 from nfpde.storage import read_json, write_whole
 
 NOISES = (0.0, 0.001, 0.01)
@@ -30,6 +31,7 @@ def run(
     quick: bool = False,
     refit: bool = False,
     budget_minutes: float | None = None,
+    device: Device = "cpu",
 ) -> bool:
     """Measure the cells that are not finished yet, print their rows, write estimation.md and estimation.json.
 
@@ -45,31 +47,35 @@ def run(
         quick: one tiny cell instead, in `estimation_quick/`.
         refit: fit anew by trajectory where other code did, and keep the fits by softmax.
         budget_minutes: no further fit is begun after so long.
+        device: where the fits are simulated; the table of another one than the CPU is `estimation_<device>`.
 
     Returns:
         Whether all cells asked for are finished.
 
     Raises:
-        BadInput: an unknown robot or target, a noise or seed below zero.
+        BadInput: an unknown robot or target, a noise or seed below zero, or no such device.
     """
+    device = found_device(device)
     cells = QUICK_CELLS if quick else _cells(robots, targets, noises, seeds)
     settings = QUICK if quick else Settings()
-    name = "estimation_quick" if quick else "estimation"
+    name = "estimation" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
     folder = out / name
     budget = Budget.of(budget_minutes)
     complete = True
     try:
         for cell in cells:
-            facts = {"cell": asdict(cell), "settings": asdict(settings)}
+            where = facts_of_device(robot(cell.robot), device)
+            facts = {"cell": asdict(cell), "settings": asdict(settings), **where}
             stages = Stages(folder, str(cell), facts, budget, renew=TRAJECTORY if refit else None)
             if stages.finished() is None:
-                measure(cell, settings, stages)
+                measure(cell, settings, stages, device)
                 print(line(assemble(stages.finish())), flush=True)
     except OutOfTime:
         complete = False
     finished = _finished(folder, settings)
     if finished:
-        command = "nfpde bench estimation" + (" --quick" if quick else "")
+        command = "nfpde bench estimation"
+        command += (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
         text = table(finished, command)
         print(text)
         write_whole(out / f"{name}.md", text)

@@ -235,10 +235,11 @@ def _origin(cells: list[dict[str, Any]], command: str) -> list[str]:
         texts.append(f"{method} " + ", ".join(f"{code} ({n} cells)" for code, n in counts.items()))
     last = cells[-1]
     load = np.median([c["trajectory"]["seconds"] / max(c["trajectory"]["cpu_seconds"], 1e-9) for c in cells])
+    devices = ", ".join(dict.fromkeys(c["device"] for c in cells))
     return [
         f"`{command}`; code of {'; of '.join(texts)}; settings {last['settings']}; versions {last['versions']}; "
-        f"{last['machine']}. Median wall seconds a CPU second: {load:.2f} (0.5 where two cores are free). Every cell "
-        "is a file in `estimation/`."
+        f"{last['machine']}; fits simulated on {devices}. Median wall seconds a CPU second: {load:.2f} (0.5 "
+        "where two cores are free). Every cell is a file in a folder beside this one."
     ]
 
 

@@ -18,7 +18,10 @@ from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.store import read_key, write_key, write_public
 from nfpde.storage import write_whole
 
-KEPT_VARIABLES = ("PATH", "HOME", "LANG", "LD_LIBRARY_PATH", "PYTHONPATH", "VIRTUAL_ENV", "TMPDIR", "WARP_CACHE_PATH")
+KEPT_VARIABLES = (
+    *("PATH", "HOME", "LANG", "LD_LIBRARY_PATH", "PYTHONPATH", "VIRTUAL_ENV", "TMPDIR", "WARP_CACHE_PATH"),
+    "CUDA_VISIBLE_DEVICES",
+)
 """What the diagnosis gets of the environment."""
 
 

@@ -22,6 +22,7 @@ from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
 from nfpde.errors import BadInput
 from nfpde.progress import progress
+from nfpde.sim import Device, found_device
 from nfpde.storage import finite, write_whole
 
 DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
@@ -39,6 +40,7 @@ def run(
     limit: float = 300.0,
     folder: Path | None = None,
     command: Sequence[str] = DIAGNOSE,
+    device: Device = "auto",
 ) -> list[Row]:
     """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
 
@@ -51,26 +53,31 @@ def run(
         limit: wall time for one diagnosis [s]; longer is a failure.
         folder: where finished cases and keys are kept; None is runs/gap-SEED.
         command: the diagnosis.
+        device: where it simulates; the table of another one than the CPU is named gap_<device>.
 
     Returns:
         One row a case.
 
     Raises:
-        BadInput: cases or jobs below 1, a limit that is not positive, or kept cases of another command.
+        BadInput: cases or jobs below 1, a limit that is not positive, no such device, or kept cases of another command.
     """
     _check(cases, jobs, limit)
+    command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
+    device = found_device(device)
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
     folder.mkdir(parents=True, exist_ok=True)
-    facts = _facts(seed, cases, limit, quick)
+    facts = _facts(seed, cases, limit, quick, device)
     _check_kept(folder, {"seed": seed, "limit": limit, "command": list(command), "versions": facts["versions"]})
     every = [Case(seed, index, folder, command, limit) for index in range(cases)]
     _work([case for case in every if not finished(case)], cases, jobs)
-    rows = []
+    rows, ran_on = [], {}
     for case in every:
         key, answer = outcome(case)
         rows.append(judge(key, answer["status"], answer["seconds"], answer["diagnosis"]))
-    _write(rows, facts, out, "gap_quick" if quick else "gap")
+        ran_on |= {(answer["diagnosis"] or {}).get("device", device): None}
+    name = "gap" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
+    _write(rows, facts | {"device": ", ".join(ran_on)}, out, name)
     return rows
 
 
@@ -129,9 +136,10 @@ def _check_kept(folder: Path, settings: dict[str, Any]) -> None:
     write_whole(path, json.dumps(plain))
 
 
-def _facts(seed: int, cases: int, limit: float, quick: bool) -> dict[str, Any]:
+def _facts(seed: int, cases: int, limit: float, quick: bool, device: Device) -> dict[str, Any]:
+    options = (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
     return {
-        "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}" + (" --quick" if quick else ""),
+        "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}",
         "seed": seed,
         "versions": {name: version(name) for name in ("nfpde", "mujoco", "numpy", "scipy")},
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
