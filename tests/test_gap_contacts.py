@@ -42,7 +42,7 @@ def drops(height=0.0, noise=(0.0, 0.0), fall=0.4, rows=200, seed=0):
 
 
 def test_search_crosses_where_slopes_mislead():
-    """A floor 30 mm higher is found from guesses of a few millimetres, to a tenth of a millimetre of penetration."""
+    """A floor 30 mm higher is found from guesses of a few, to within half a millimetre."""
     cut = cut_recordings(drops(height=0.03, noise=(1e-4, 1e-3)), 0, 0, 160)
     model = mujoco.MjModel.from_xml_string(BALL)
     replay = Replay(model, None, [effect("ground_height", height=(-0.1, 0.1))])
