@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -23,6 +24,8 @@ from nfpde import _rust_ot
 from nfpde.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
@@ -109,8 +112,8 @@ def emd(
     if metric not in _METRICS:
         raise BadInput(f"metric is {metric!r}: choose one of {', '.join(_METRICS)}")
     points_x, points_y = _points(x, y)
-    answer = _rust_ot.solve_points(points_x, points_y, _vector("a", a), _vector("b", b), metric, _threads(threads))
-    return _result(answer, (len(points_x), len(points_y)))
+    solve = partial(_rust_ot.solve_points, points_x, points_y, metric=metric)
+    return _result((len(points_x), len(points_y)), solve, a, b, threads)
 
 
 def emd_matrix(
@@ -136,8 +139,7 @@ def emd_matrix(
         0.25
     """
     costs = _matrix("cost", cost)
-    answer = _rust_ot.solve_matrix(costs, _vector("a", a), _vector("b", b), _threads(threads))
-    return _result(answer, (costs.shape[0], costs.shape[1]))
+    return _result((len(costs), costs.shape[1]), partial(_rust_ot.solve_matrix, costs), a, b, threads)
 
 
 def wasserstein(
@@ -260,8 +262,12 @@ def _powers(x: Floats, y: Floats, p: float) -> Floats:
 
 
 def _result(
-    answer: tuple[float, NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats, float], shape: tuple[int, int]
+    shape: tuple[int, int],
+    solve: Callable[..., tuple[float, NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats, float]],
+    a: ArrayLike | None,
+    b: ArrayLike | None,
+    threads: int,
 ) -> EmdResult:
-    """Names the parts of the solver's answer."""
-    cost, rows, cols, mass, alpha, beta, gap = answer
+    """Solves for checked weights and names the parts of the answer."""
+    cost, rows, cols, mass, alpha, beta, gap = solve(a=_vector("a", a), b=_vector("b", b), threads=_threads(threads))
     return EmdResult(cost, Plan(rows, cols, mass, shape), (alpha, beta), gap)

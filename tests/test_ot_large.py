@@ -74,6 +74,38 @@ def test_clusters_around_few_points(spread, d):
         assert result.cost <= cost[np.arange(2000), own].mean() + 1e-12
 
 
+@pytest.mark.parametrize("weights", ["uniform", "random"])
+@pytest.mark.parametrize(("n", "m", "distinct"), [(745, 1376, 5), (60, 60, 7), (61, 50, 40), (1300, 1200, 300)])
+def test_repeated_points(n, m, distinct, weights):
+    """Points given many times: the plan goes to each of them, the potentials prove it over all of them."""
+    rng = np.random.default_rng(n)
+    x, y = rng.normal(size=(distinct, 6)), rng.normal(size=(distinct, 6))
+    x, y = x[rng.integers(0, distinct, n)], y[rng.integers(0, distinct, m)]
+    a, b = masses(weights, n, m)
+    a, b = (a, b) if weights == "random" else (None, None)
+    result = emd(x, y, a, b)
+    a, b = masses(weights, n, m)
+    cost = distances(x, y)
+    check_certificate(result, cost, a, b)
+    assert result.cost == pytest.approx(pot.emd2(a, b, cost, numItermax=10**9), rel=SAME)
+
+
+def test_repeated_points_without_mass():
+    """Copies of a point of which some have no mass."""
+    x, y = clouds("mix", 8, 9, 2)
+    a, b = masses("random", 8, 9)
+    once = emd(x, y, a, b)
+    zeros = np.zeros(8)
+    again = emd(
+        np.vstack([x, x, x]), np.vstack([y, y]), np.concatenate([zeros, a, zeros]), np.concatenate([b / 2, b / 2])
+    )
+    assert again.cost == pytest.approx(once.cost, rel=SAME)
+    full = again.plan.toarray()
+    assert not full[:8].any()
+    assert not full[16:].any()
+    np.testing.assert_array_equal(again.potentials[0][:8], again.potentials[0][8:16])
+
+
 def test_skewed_weights_beyond_the_table():
     """Weights over many decades, some of them zero."""
     x, y = clouds("mix", 1200, 1100, 4)

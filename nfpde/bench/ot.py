@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from nfpde.bench.footprint import footprint
 from nfpde.bench.peers import PACKAGES, Peers
 from nfpde.ot import emd
 
@@ -32,6 +33,8 @@ LAZY = 2000
 """Points up to which POT's solver without a matrix takes part; beyond it takes minutes."""
 REPEATS = {300: 15, 2000: 5, 10**9: 3}
 """Repeats of a case with at most so many points; the median is reported."""
+SLOW = 15.0
+"""CPU seconds from which on a peer runs once."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,18 @@ class Case:
 
 FULL = (
     *(Case(n, n, 6, "gauss", w) for n in (100, 300, 1000) for w in ("uniform", "random")),
-    *(Case(1000, 1000, d, kind, "uniform") for d, kind in ((2, "gauss"), (30, "gauss"), (6, "mix"), (6, "lattice"))),
-    *(Case(1000, 1000, d, kind, "random") for d, kind in ((2, "gauss"), (30, "gauss"), (6, "mix"), (6, "duplicates"))),
+    *(Case(1000, 1000, d, "gauss", w) for d in (2, 30) for w in ("uniform", "random")),
+    *(Case(1000, 1000, 6, kind, w) for kind in ("mix", "lattice", "duplicates") for w in ("uniform", "random")),
+    Case(1000, 1000, 6, "gauss", "skewed"),
+    Case(745, 1376, 6, "five points", "random"),
     Case(2000, 10, 6, "gauss", "random"),
-    *(Case(5000, 5000, d, "gauss", "uniform") for d in (2, 6, 30)),
-    *(Case(5000, 5000, d, "gauss", "random") for d in (2, 6, 30)),
+    Case(10, 2000, 6, "gauss", "random"),
+    *(Case(5000, 5000, d, "gauss", w) for d in (2, 6, 30) for w in ("uniform", "random")),
+    *(Case(5000, 5000, 6, "mix", w) for w in ("uniform", "random")),
 )
 QUICK = tuple(case for case in FULL if case.n <= 300 or case.m == 10)
+LARGE = tuple(Case(20000, 20000, 6, "gauss", w) for w in ("uniform", "random"))
+"""Cases without peers: their tables of 3.2 GB, and ten more for POT, are beyond many a machine."""
 
 
 def clouds(case: Case) -> tuple[Array, Array, Array | None, Array | None]:
@@ -72,11 +80,14 @@ def clouds(case: Case) -> tuple[Array, Array, Array | None, Array | None]:
         y = centres[j] + shifts[j] + widths[j, None] * rng.normal(size=y.shape)
     elif case.kind == "lattice":
         x, y = np.round(x), np.round(y)
+    elif case.kind == "five points":
+        x, y = x[rng.integers(0, 5, case.n)], y[rng.integers(0, 5, case.m)]
     elif case.kind == "duplicates":
         x, y = x[rng.integers(0, case.n // 10, case.n)], y[rng.integers(0, case.m // 10, case.m)]
     if case.weights == "uniform":
         return x, y, None, None
-    a, b = rng.exponential(size=case.n), rng.exponential(size=case.m)
+    power = 6 if case.weights == "skewed" else 1
+    a, b = rng.exponential(size=case.n) ** power, rng.exponential(size=case.m) ** power
     return x, y, a / a.sum(), b / b.sum()
 
 
@@ -116,10 +127,11 @@ def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
         print(_line(rows[-1]), flush=True)
     if peers:
         peers.close()
+    large = [] if quick else [_measure_alone(case) for case in LARGE]
     out.mkdir(parents=True, exist_ok=True)
     name = "ot_quick" if quick else "ot"
-    (out / f"{name}.json").write_text(json.dumps({**facts, "rows": rows}, indent=1))
-    table = _table(rows, facts)
+    (out / f"{name}.json").write_text(json.dumps({**facts, "rows": rows, "large": large}, indent=1))
+    table = _table(rows, large, facts)
     print(table)
     (out / f"{name}.md").write_text(table)
 
@@ -129,17 +141,22 @@ def _measure(case: Case, peers: Peers | None) -> dict[str, Any]:
     data, candidates = clouds(case), solvers(case)
     others = _packages(case, peers)
     if peers and others:
-        _hand_over(data, peers)
+        with tempfile.TemporaryDirectory() as folder:
+            peers.load(_saved(data, Path(folder), full=True))
     repeats = next(count for limit, count in REPEATS.items() if max(case.n, case.m) <= limit)
     times: dict[str, list[float]] = {name: [] for name in candidates}
     costs: dict[str, float] = {}
     for _ in range(repeats):
         for name, solve in candidates.items():
+            if max(times[name], default=0) > SLOW:
+                continue
             started = time.process_time()
             costs[name] = solve(*data)
             times[name].append(time.process_time() - started)
         if peers:
             for name in others:
+                if max(times.get(name, ()), default=0) > SLOW:
+                    continue
                 seconds, costs[name] = peers.solve(name)
                 times.setdefault(name, []).append(seconds)
     own = costs["nfpde"]
@@ -178,18 +195,25 @@ def _packages(case: Case, peers: Peers | None) -> list[str]:
     """The packages of the other environment that a case compares; assignments have equal sides."""
     if peers is None:
         return []
-    fits = [name for name, weights in PACKAGES.items() if weights == case.weights]
-    return [name for name in fits if name in peers.versions and (case.weights == "random" or case.n == case.m)]
+    fits = [name for name, kind in PACKAGES.items() if (kind == "uniform") == (case.weights == "uniform")]
+    return [name for name in fits if name in peers.versions and (case.weights != "uniform" or case.n == case.m)]
 
 
-def _hand_over(data: tuple[Array, Array, Array | None, Array | None], peers: Peers) -> None:
+def _saved(data: tuple[Array, Array, Array | None, Array | None], folder: Path, *, full: bool) -> Path:
+    """A file with the points and weights of a case; equal weights are written out when it is to be `full`."""
     x, y, a, b = data
-    a = np.full(len(x), 1 / len(x)) if a is None else a
-    b = np.full(len(y), 1 / len(y)) if b is None else b
+    weights = {"a": (a, len(x)), "b": (b, len(y))}
+    arrays = {name: np.full(n, 1 / n) if w is None else w for name, (w, n) in weights.items() if full or w is not None}
+    path = folder / "case.npz"
+    np.savez(path, x=x, y=y, **arrays)  # pyright: ignore[reportArgumentType]
+    return path
+
+
+def _measure_alone(case: Case) -> dict[str, Any]:
+    """CPU seconds and growth of memory of this package, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "case.npz"
-        np.savez(path, x=x, y=y, a=a, b=b)
-        peers.load(path)
+        seconds, megabytes = footprint(_saved(clouds(case), Path(folder), full=False))
+    return {"case": str(case), **asdict(case), "seconds": seconds, "megabytes": megabytes}
 
 
 COLUMNS = ("POT", "POT lazy", "SciPy", *PACKAGES)
@@ -201,7 +225,16 @@ def _line(row: dict[str, Any]) -> str:
     return f"| {row['case']} | {1e3 * own:.2f} | {' | '.join(cells)} | {row['apart']:.0e} | {row['repeats']} |"
 
 
-def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
+def _large(row: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    """A line about a case without peers, beside the same case at a quarter of the points."""
+    quarter = [
+        r for r in rows if (r["n"], r["d"], r["kind"], r["weights"]) == (row["n"] // 4, 6, "gauss", row["weights"])
+    ]
+    ratio = f"{row['seconds'] / quarter[0]['seconds']['nfpde']:.1f}" if quarter else ""
+    return f"| {row['case']} | {row['seconds']:.2f} | {ratio} | {row['megabytes']:.0f} |"
+
+
+def _table(rows: list[dict[str, Any]], large: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     lost = [r["case"] for r in rows if any(t < r["seconds"]["nfpde"] for t in r["seconds"].values())]
     worst = max(r["apart"] for r in rows)
     return "\n".join(
@@ -210,7 +243,7 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             "From points to the exact Euclidean cost, one thread, median CPU time of interleaved runs in one process. "
             "Peers: how many times longer they take, the distance matrix (SciPy's) included; POT with numItermax=1e9, "
-            "because its default stops early at large sizes; "
+            f"because its default stops early at large sizes; a peer that takes {SLOW:.0f} s runs once; "
             "lapjv, lapx (lapjvr) and Wasserstein in a process of their own, in turn with the others. "
             "`apart`: largest relative difference of the costs.",
             "",
@@ -221,6 +254,18 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             f"Slower than a peer in {len(lost)} of {len(rows)} cases" + (f": {'; '.join(lost)}." if lost else "."),
             f"All costs agree to {worst:.0e}, relative.",
             "",
+            *(
+                [
+                    "One solve in a process of its own, without peers:",
+                    "",
+                    "| case | nfpde, CPU s | times n=5000 | peak memory grows by MB |",
+                    "|---|---|---|---|",
+                    *(_large(row, rows) for row in large),
+                    "",
+                ]
+                if large
+                else []
+            ),
             f"`{facts['command']}`, seed {facts['seed']}; versions {facts['versions']}; {facts['machine']}.",
             "",
         ]

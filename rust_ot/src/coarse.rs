@@ -68,7 +68,8 @@ fn gathered(cost: &dyn Cost, of_rows: bool, masses: &[i64], kept: &[usize]) -> O
 }
 
 /// Masses of equal totals, in finer quanta, so that every column keeps some mass.
-fn balanced(mut rows: Vec<i64>, cols: Vec<i64>) -> (Vec<i64>, Vec<i64>) {
+#[must_use]
+pub fn balanced(mut rows: Vec<i64>, cols: Vec<i64>) -> (Vec<i64>, Vec<i64>) {
     let total: i64 = rows.iter().sum();
     if total == cols.iter().sum::<i64>() {
         return (rows, cols);
@@ -80,7 +81,8 @@ fn balanced(mut rows: Vec<i64>, cols: Vec<i64>) -> (Vec<i64>, Vec<i64>) {
 }
 
 /// One in `every` of `0..len`, spread at random but the same every time.
-fn sample(len: usize, every: usize) -> Vec<usize> {
+#[must_use]
+pub fn sample(len: usize, every: usize) -> Vec<usize> {
     let mut state = len as u64 ^ 0x9e37_79b9_7f4a_7c15;
     let mut order: Vec<usize> = (0..len).collect();
     let half = if len <= SMALL_SIDE { len } else { len.div_ceil(every) };

@@ -4,7 +4,7 @@ use crate::assignment::{self, Assignment};
 use crate::coarse::{self, Share};
 use crate::cost::Cost;
 use crate::error::OtError;
-use crate::few_columns;
+use crate::few_columns::{self, Columns};
 use crate::network_simplex::{self, Table};
 use crate::scan::Workers;
 use crate::simd::{LeastSum, run};
@@ -20,10 +20,6 @@ pub const DENSE_PAIRS: usize = 700_000;
 pub const STORED_PAIRS: usize = 1_100_000;
 /// How many times more points the other side must have to count as many.
 const MANY_TO_FEW: usize = 4;
-/// The coarse problem of few points against many takes one in so many.
-const FEW_SHARE: usize = 8;
-/// Length of the long side up to which few points against many start without potentials.
-const COLD_LONG_SIDE: usize = 64;
 /// A side with so few points is never halved.
 pub const SMALL_SIDE: usize = 32;
 /// Pairs up to which an assignment starts without potentials.
@@ -78,7 +74,7 @@ pub fn solve(
     let pairs = rows.len() * cols.len();
     let (few, many) = (rows.len().min(cols.len()), rows.len().max(cols.len()));
     if few <= SMALL_SIDE && many >= MANY_TO_FEW * few {
-        return solve_few(cost, rows, cols, workers, watch);
+        return solve_few(cost, rows, cols, few_columns::PATHS_A_NODE, watch);
     }
     if pairs <= DENSE_PAIRS {
         return solve_table(cost, rows, cols, watch);
@@ -148,46 +144,28 @@ fn solve_table(cost: &dyn Cost, rows: &[i64], cols: &[i64], watch: &mut Watch<'_
     Ok(best)
 }
 
-/// Few points against many.
+/// Few points against many; by the simplex when `paths_a_node` paths do not suffice.
 fn solve_few(
     cost: &dyn Cost,
     rows: &[i64],
     cols: &[i64],
-    workers: &Workers,
+    paths_a_node: usize,
     watch: &mut Watch<'_>,
 ) -> Result<Optimum, OtError> {
-    let (n, m) = (rows.len(), cols.len());
-    let upright = m <= n;
-    let (long, short) = if upright { (n, m) } else { (m, n) };
-    let costs = if upright { table(cost) } else { transposed(&table(cost), m) };
-    let start = if long <= COLD_LONG_SIDE {
-        vec![0.0; short]
-    } else {
-        let coarse = coarse::optimum(cost, (rows, cols), FEW_SHARE, Share::Own, workers, watch)?.1;
-        if upright { coarse.v } else { coarse.u }
-    };
-    let (long_masses, short_masses) = if upright { (rows, cols) } else { (cols, rows) };
-    let Some(found) =
-        few_columns::solve(Table { costs: &costs, cols: short }, long_masses, short_masses, start, watch)?
-    else {
+    let upright = cols.len() <= rows.len();
+    let costs = if upright { cost.by_columns() } else { table(cost) };
+    let (long, short) = if upright { (rows, cols) } else { (cols, rows) };
+    let columns = Columns { costs: &costs, rows: long.len() };
+    let Some(found) = few_columns::solve(columns, long, short, paths_a_node, watch)? else {
         return solve_table(cost, rows, cols, watch);
     };
-    let slack = |costs: &[f64]| costs.iter().zip(&found.v).fold(f64::INFINITY, |low, (c, v)| low.min(c - v));
-    let long_potentials: Vec<f64> = costs.chunks_exact(short).map(slack).collect();
-    let loaded = found.flow.iter().enumerate().filter(|&(_, &flow)| flow > 0);
-    let arcs = loaded.map(|(place, &flow)| {
-        let (i, j) = (place / short, place % short);
-        if upright { (i, j, flow) } else { (j, i, flow) }
-    });
-    let arcs = arcs.collect();
-    Ok(if upright {
-        Optimum { arcs, u: long_potentials, v: found.v }
-    } else {
-        Optimum { arcs, u: found.v, v: long_potentials }
-    })
+    let few_columns::Optimum { mut arcs, u, v } = found;
+    if upright {
+        return Ok(Optimum { arcs, u, v });
+    }
+    arcs.iter_mut().for_each(|(i, j, _)| std::mem::swap(i, j));
+    Ok(Optimum { arcs, u: v, v: u })
 }
 
-fn transposed(costs: &[f64], cols: usize) -> Vec<f64> {
-    let rows = costs.len() / cols;
-    (0..cols).flat_map(|j| (0..rows).map(move |i| costs[i * cols + j])).collect()
-}
+#[cfg(test)]
+mod tests;

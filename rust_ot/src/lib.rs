@@ -15,6 +15,7 @@ pub mod few_columns;
 pub mod forest;
 pub mod masses;
 pub mod matrix;
+pub mod merge;
 pub mod network_simplex;
 pub mod one_dim;
 pub mod points;

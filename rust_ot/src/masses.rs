@@ -59,10 +59,12 @@ pub fn integer_masses(a: Option<&[f64]>, b: Option<&[f64]>, n: usize, m: usize) 
     } else {
         let ones_a = vec![1.0; if a.is_none() { n } else { 0 }];
         let ones_b = vec![1.0; if b.is_none() { m } else { 0 }];
-        let rows = fixed_point(a.unwrap_or(&ones_a));
-        let cols = fixed_point(b.unwrap_or(&ones_b));
-        let quanta = rows.iter().sum::<u64>();
-        let cols = apportion(&cols, quanta);
+        let mut rows = fixed_point(a.unwrap_or(&ones_a));
+        let mut cols = fixed_point(b.unwrap_or(&ones_b));
+        // The side with more points stays as it is.
+        let (kept, shared) = if n >= m { (&rows, &mut cols) } else { (&cols, &mut rows) };
+        let quanta = kept.iter().sum::<u64>();
+        *shared = apportion(shared, quanta);
         (as_signed(&rows), as_signed(&cols), quanta)
     };
     Ok(Masses { rows, cols, unit: 1.0 / quanta as f64, total_rows: total_a, total_cols: total_b, uniform })
@@ -174,7 +176,7 @@ fn apportion(parts: &[u64], total: u64) -> Vec<u64> {
     let mut shares: Vec<u64> = parts.iter().map(|&p| (product(p) / whole) as u64).collect();
     let left = (total - shares.iter().sum::<u64>()) as usize;
     let mut order: Vec<usize> = (0..parts.len()).collect();
-    order.sort_by_key(|&i| std::cmp::Reverse(product(parts[i]) % whole));
+    order.sort_by_cached_key(|&i| std::cmp::Reverse(product(parts[i]) % whole));
     for &i in &order[..left] {
         shares[i] += 1;
     }

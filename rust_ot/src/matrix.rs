@@ -44,7 +44,7 @@ impl Cost for Matrix<'_> {
     }
 
     fn at(&self, row: usize, col: usize) -> f64 {
-        self.unscaled(row, col) * self.factor
+        self.costs[row * self.cols + col] * self.factor
     }
 
     fn fill_row(&self, row: usize, out: &mut [f64]) {
@@ -67,7 +67,7 @@ impl Cost for Matrix<'_> {
         self.bound
     }
 
-    fn unscaled(&self, row: usize, col: usize) -> f64 {
+    fn unscale(&self, row: usize, col: usize, _scaled: f64) -> f64 {
         self.costs[row * self.cols + col]
     }
 
@@ -115,8 +115,8 @@ impl Cost for Part {
         self.bound
     }
 
-    fn unscaled(&self, row: usize, col: usize) -> f64 {
-        times_power_of_two(self.at(row, col), self.shift)
+    fn unscale(&self, _row: usize, _col: usize, scaled: f64) -> f64 {
+        times_power_of_two(scaled, self.shift)
     }
 
     fn exponent(&self) -> i32 {

@@ -3,6 +3,7 @@
 use crate::cost::{Cost, Metric};
 use crate::error::{OtError, bad};
 use crate::masses::{exponent_of, times_power_of_two};
+use crate::merge::Groups;
 use crate::simd::{LANES, LeastSum, run, vectorized};
 
 /// Above this cost and with exponents below this one, squares and results are far from the ends of the range.
@@ -153,6 +154,15 @@ impl Cost for Points {
         });
     }
 
+    fn by_columns(&self) -> Vec<f64> {
+        let turned = Self::assemble(self.y.clone(), self.x.clone(), self.dim, self.metric, self.shift, self.bound);
+        let mut costs = vec![0.0; self.rows() * self.cols()];
+        for (col, out) in costs.chunks_exact_mut(self.rows()).enumerate() {
+            turned.fill_row(col, out);
+        }
+        costs
+    }
+
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_> {
         let x = rows.iter().flat_map(|&i| self.row(i)).copied().collect();
         let y = cols.iter().flat_map(|&j| self.col(j)).copied().collect();
@@ -177,16 +187,19 @@ impl Cost for Points {
         (near <= NEAR * any).then_some(nearest)
     }
 
+    fn groups(&self, rows: bool) -> Option<Groups> {
+        Groups::of_points(if rows { &self.x } else { &self.y }, self.dim)
+    }
+
     fn bound(&self) -> f64 {
         self.bound
     }
 
-    fn unscaled(&self, row: usize, col: usize) -> f64 {
-        let (x, y) = (self.row(row), self.col(col));
-        let scaled = distance(x, y, self.metric);
+    fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64 {
         if scaled > SAFE_COST && self.exponent().abs() < SAFE_EXPONENT {
             return times_power_of_two(scaled, self.exponent());
         }
+        let (x, y) = (self.row(row), self.col(col));
         let largest = x.iter().zip(y).fold(0.0_f64, |largest, (a, b)| largest.max((a - b).abs()));
         if largest == 0.0 {
             return 0.0;

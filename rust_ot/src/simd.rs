@@ -72,8 +72,9 @@ impl<S: Simd> Least<S> {
     }
 }
 
+/// The numbers of a vector.
 #[inline(always)]
-fn lanes<S: Simd>(vector: &S::f64s) -> &[f64] {
+pub(crate) fn lanes<S: Simd>(vector: &S::f64s) -> &[f64] {
     bytemuck::cast_slice(std::slice::from_ref(vector))
 }
 

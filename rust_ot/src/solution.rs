@@ -48,7 +48,7 @@ pub fn conclude(
         let mass = flow as f64 * masses.unit;
         let price = cost.at(i, j);
         scaled.add(mass * price);
-        total.add(mass * cost.unscaled(i, j));
+        total.add(mass * cost.unscale(i, j, price));
         moved |= price != 0.0;
     }
     let (n, m) = (cost.rows(), cost.cols());

@@ -68,8 +68,8 @@ impl Cost for Stored<'_> {
         self.of.get().bound()
     }
 
-    fn unscaled(&self, row: usize, col: usize) -> f64 {
-        self.of.get().unscaled(row, col)
+    fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64 {
+        self.of.get().unscale(row, col, scaled)
     }
 
     fn exponent(&self) -> i32 {
