@@ -1,5 +1,6 @@
 """The parts of the diagnosis, each against mathematics or another implementation."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from nfpde.gap.noise import Scatter, floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import screen
+from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.trial import block_test
+from nfpde.gap.trial import Court, Trial, block_test
 from nfpde.gap.where import needed_forces
 from nfpde.parameters import Parameter, ParameterSpace
 from tests.gap_systems import nominal, record
@@ -208,3 +210,35 @@ def test_a_diverged_window_is_bad_but_finite():
     density = scatter.log_density(lost)
     assert np.isfinite(density).all()
     assert density[1] < density[0] - 1
+
+
+def test_what_leaves_the_gap_is_not_named():
+    """Of two candidates the one that closes the gap is accepted, though the other fits better; alone it is refused."""
+    rng = np.random.default_rng(8)
+    block = np.arange(40) // 4
+    held, gained = 3 * rng.normal(size=(40, 2, 4)), rng.uniform(1, 2, 40)
+    court = Court(SimpleNamespace(block=block), ANYTHING, np.zeros((2, 4)), np.zeros(0))  # type: ignore[arg-type]
+    yardstick = Yardstick(np.ones((2, 4)), rng.normal(size=(40, 2, 4)))
+    selection = Selection(ANYTHING, None, 1, court, yardstick, [])
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    damping = effect("viscous_damping", "elbow", damping=(0.0, 1.0))
+    base = Trial(None, ANYTHING, np.zeros(40), held)
+    idle = Trial(friction, ANYTHING, 5 * gained, held)
+    useful = Trial(damping, ANYTHING, gained, held / 3)
+    found = selection._accept(base, [idle, useful], selection._gap(base))
+    assert found is not None
+    assert found[1].effect is damping
+    assert selection._accept(base, [idle], selection._gap(base)) is None
+
+
+def test_a_second_effect_need_not_be_large_beside_the_first():
+    """A hundredth of the first gap, and most of what is left, is accepted; what hides in the noise is not."""
+    rng = np.random.default_rng(9)
+    noise, first_gap = rng.normal(size=(40, 2, 4)), 1000.0
+    court = Court(SimpleNamespace(block=np.arange(40) // 4), ANYTHING, np.zeros((2, 4)), np.zeros(0))  # type: ignore[arg-type]
+    selection = Selection(ANYTHING, None, 1, court, Yardstick(np.ones((2, 4)), noise), [])
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    for size, named in ((3.0, True), (1.02, False)):
+        left = Trial(None, ANYTHING, np.zeros(40), size * noise)
+        found = selection._accept(left, [Trial(friction, ANYTHING, rng.uniform(1, 2, 40), noise)], first_gap)
+        assert (found is not None) is named
