@@ -27,7 +27,7 @@ from nfpde.sim import runs_on
 Array = NDArray[np.float64]
 
 NEAR_FLOOR = 1.5
-"""A gap below this multiple of the noise floor is closed: the floor itself is an estimate."""
+"""A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
 
 SPOTLESS = 1e-6
 """A gap below this share of the nominal model's is closed, whatever the noise."""
@@ -80,6 +80,14 @@ class Outcome:
         unit = max(gaps[0], 1e-300)
         return Level(1.0, *(g / unit for g in gaps[1:]))
 
+    def least_over_floor(self) -> float:
+        """Gap that is left in noise floors, the lower end of its 95 % interval.
+
+        Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
+        """
+        floor, left = (self.yardstick.gap(r) for r in (self.yardstick.noise, self.final.held))
+        return 1.0 - shrink_interval(floor, left, self.recordings.block, self.seed)[2]
+
     def distance(self) -> Distance:
         """How far apart recorded and simulated states lie at the windows' ends."""
         base, final, held = self.base.fit, self.final.fit, self.recordings.held
@@ -117,7 +125,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     ]
     left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
     gap = outcome.level(None)
-    verdict = _verdict(gap, bool(outcome.accepted))
+    verdict = _verdict(gap, outcome.least_over_floor(), bool(outcome.accepted))
     force = describe(left, model, recordings.held) if verdict == "unexplained" else None
     effects = _causes(outcome)
     ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
@@ -154,9 +162,9 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     )
 
 
-def _verdict(gap: Level, named: bool) -> Verdict:
+def _verdict(gap: Level, over_floor: float, named: bool) -> Verdict:
     """What is left beside the noise floor decides, and beside what there was to explain."""
-    if gap.after_effects <= NEAR_FLOOR * gap.noise_floor or gap.after_effects < SPOTLESS:
+    if over_floor <= NEAR_FLOOR or gap.after_effects < SPOTLESS:
         return "effects" if named else "no_gap"
     if named and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor):
         return "effects"

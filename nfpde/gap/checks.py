@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.elements import actuator_ctrls, element_names, is_axis
 from nfpde.errors import BadDataset
+from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
+from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
 
@@ -56,6 +58,7 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
         )
     _check_velocities(windows, joints)
     error = _error(replay, xi, windows)
+    _check_contacts(replay, xi, windows, error)
     flips = [
         (f"{j.name}'s sign looks flipped", _flipped(windows, j, commands=c)) for j in joints for c in (False, True)
     ]
@@ -93,6 +96,24 @@ def _check_velocities(windows: Windows, joints: list[_Joint]) -> None:
                 f"{joint.name}: its qvel runs against the change of its qpos, so one of the two has the wrong sign; "
                 f"correct it in the recordings"
             )
+
+
+def _check_contacts(replay: Replay, xi: Array, windows: Windows, error: float) -> None:
+    """Geoms that overlap in every recorded pose, and push the model where the robot was not, shall not collide."""
+    model = replay.sim.model
+    pairs = always_touching(model, windows.state[:, 0, : model.nq])
+    if not pairs:
+        return
+    space = ParameterSpace(replay.parameters) if replay.parameters else None
+    apart = _error(Replay(without_contacts(model, pairs), space, []), xi, windows)
+    if apart < _CURED * error:
+        raise BadDataset(
+            f"the recordings do not fit the model: in every recorded pose its geoms overlap, and their contact drives "
+            f"it away (the nominal model's error is {error:.2g} times the motion, {apart:.2g} times without these "
+            f"contacts): {bodies_of(model, pairs)}. Exclude the contacts (<exclude body1= body2=> in <contact>; MuJoCo "
+            f"ignores contacts of parent and child, but not with a parent that is fixed to the world), or correct the "
+            f"zeros of the joints"
+        )
 
 
 def _error(replay: Replay, xi: Array, windows: Windows) -> float:

@@ -53,9 +53,12 @@ def summary(
         if value.at_bound
     ]
     if verdict == "unexplained" and force is not None:
+        free = f"A free force on {force.joint} of position, speed, command and time would take away"
         lines.append(
-            f"None of the known effects explains what is left. A free force on {force.joint} of position, speed, "
-            f"command and time would take away {max(force.share, 0):.0%} of it: look at its picture for the cause."
+            f"None of the known effects explains what is left. {free} {force.share:.0%} of it: look at its picture."
+            if force.share >= 0.01
+            else f"None of the known effects explains what is left. {free} nothing either: look for what changes "
+            "otherwise, such as contact, another joint, noise of the commands, time stamps."
         )
     return lines
 

@@ -1,0 +1,81 @@
+"""Models that collide with themselves where the robot did not, and what a verdict makes of an uncertain floor."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.dataset import Dataset, Episode
+from nfpde.errors import BadDataset
+from nfpde.gap import diagnose_gap
+from nfpde.gap.answer import NEAR_FLOOR, _verdict
+from nfpde.gap.overlap import always_touching, without_contacts
+from nfpde.gap.report import Level
+
+LEG = """
+<mujoco><option timestep="0.005" integrator="implicitfast"/>
+<worldbody><body name="trunk" pos="0 0 1"><geom type="box" size=".1 .1 .1" mass="2"/>
+  <body name="leg"><joint name="hip" axis="0 1 0" damping=".1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03" mass="1"/></body></body></worldbody>
+<actuator><motor name="hip" joint="hip"/></actuator>{contact}</mujoco>
+"""
+EXCLUDED = '<contact><exclude body1="trunk" body2="leg"/></contact>'
+
+
+def leg(contact=""):
+    return mujoco.MjModel.from_xml_string(LEG.format(contact=contact))
+
+
+def swing(rows=250, episodes=4):
+    """A leg that swings freely under a sine, recorded on the model that leaves the overlap alone."""
+    out = []
+    for number in range(episodes):
+        model = leg(EXCLUDED)
+        data = mujoco.MjData(model)
+        ctrl = 0.8 * np.sin(2 * np.pi * (0.6 + 0.3 * number) * 0.01 * np.arange(rows))[:, None]
+        qpos, qvel = np.empty((rows, 1)), np.empty((rows, 1))
+        for row in range(rows):
+            qpos[row], qvel[row], data.ctrl[:] = data.qpos, data.qvel, ctrl[row]
+            mujoco.mj_step(model, data, 2)
+        out.append(Episode(str(number), 0.01 * np.arange(rows), qpos, qvel, ctrl))
+    return Dataset(out)
+
+
+def test_a_leg_that_starts_inside_the_trunk_is_named():
+    """A trunk fixed to the world no longer ignores its child: the text names both bodies and how to exclude them."""
+    data = swing()
+    with pytest.raises(BadDataset, match=r"geoms overlap.*leg and trunk.*<exclude body1= body2=>"):
+        diagnose_gap(leg(), data, windows=40)
+    assert diagnose_gap(leg(EXCLUDED), data, windows=40).verdict == "no_gap"
+
+
+def test_only_what_touches_in_every_pose_is_listed():
+    """A pair counts where it touches in all poses, not where it does in some; without its geom it does in none."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+        <body><joint type="slide" axis="0 0 1"/><geom size=".1"/></body></worldbody></mujoco>"""
+    )
+    low, high = np.array([[0.05], [0.09]]), np.array([[0.05], [0.5]])
+    assert always_touching(model, low) == [(0, 1)]
+    assert always_touching(model, high) == []
+    assert always_touching(without_contacts(model, [(0, 1)]), low) == []
+    assert model.geom_contype[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("over", "named", "verdict"),
+    [
+        (0.9 * NEAR_FLOOR, False, "no_gap"),
+        (0.9 * NEAR_FLOOR, True, "effects"),
+        (1.1 * NEAR_FLOOR, False, "unexplained"),
+        (1.1 * NEAR_FLOOR, True, "unexplained"),
+    ],
+)
+def test_only_a_gap_surely_above_the_floor_is_unexplained(over, named, verdict):
+    """The lower end of the ratio's interval decides, with three floors left at the estimate itself."""
+    assert _verdict(Level(1.0, 0.9, 0.3, 0.1), over, named) == verdict
+
+
+def test_most_of_a_gap_explained_is_explained():
+    """Nine tenths of what there was beyond noise suffice for effects, whatever the rest is worth in noise."""
+    assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, True) == "effects"
+    assert _verdict(Level(1.0, 0.9, 0.2, 0.001), 50.0, True) == "unexplained"
