@@ -10,8 +10,9 @@ from nfpde.gap.fit import Fitter
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import search, spread
+from nfpde.gap.search import search, search_all, spread
 from nfpde.gap.sensors import sensor_noise
+from nfpde.parameters import Parameter, ParameterSpace
 
 BALL = """
 <mujoco><option timestep="0.002"/>
@@ -23,12 +24,12 @@ BALL = """
 """
 
 
-def drops(height=0.0, noise=(0.0, 0.0), fall=0.4, rows=200, seed=0):
+def drops(height=0.0, noise=(0.0, 0.0), fall=0.4, rows=200, seed=0, xml=BALL):
     """Recordings of a ball that falls on a floor at a height, and bounces."""
     rng = np.random.default_rng(seed)
     out = []
     for number in range(4):
-        model = mujoco.MjModel.from_xml_string(BALL.replace('type="plane"', f'type="plane" pos="0 0 {height}"'))
+        model = mujoco.MjModel.from_xml_string(xml.replace('type="plane"', f'type="plane" pos="0 0 {height}"'))
         data = mujoco.MjData(model)
         data.qpos[0] = height + fall * rng.uniform()
         qpos, qvel = np.empty((rows, 1)), np.empty((rows, 1))
@@ -71,3 +72,17 @@ def test_noise_of_sensors_beside_contacts(fall, factor):
     replay = Replay(mujoco.MjModel.from_xml_string(BALL), None, [])
     ratio = sensor_noise(replay, np.zeros(0), data.windows(1)) / noise
     assert np.abs(np.log(ratio)).max() < np.log(factor)
+
+
+def test_parameters_are_searched_where_slopes_mislead():
+    """Mass and stiffness of a ball on a spring that bounces are found from the far corner of their bounds."""
+    spring = BALL.replace('axis="0 0 1"', 'axis="0 0 1" stiffness="20" springref="0.1"')
+    truth = spring.replace('mass="1"', 'mass="1.3"').replace('stiffness="20"', 'stiffness="30"')
+    cut = cut_recordings(drops(noise=(1e-4, 1e-3), xml=truth), 0, 0, 160)
+    space = ParameterSpace([Parameter("body_mass", "ball", 0.5, 2.0), Parameter("jnt_stiffness", "up", 10.0, 60.0)])
+    replay = Replay(mujoco.MjModel.from_xml_string(spring), space, [])
+    fitter = Fitter(cut.fit, cut.horizons)
+    before = replay.residuals(np.array([[0.5, 60.0]]), cut.fit, cut.horizons)[0]
+    scatter = learn_scatter(before, 0, floor_of(before, np.ones_like(before)))
+    found = search_all(fitter, fitter.start(replay, np.array([[0.5, 60.0]]), scatter))
+    assert found.xi == pytest.approx([1.3, 30.0], rel=0.1)  # samples of five rounds: near enough for slopes to go on

@@ -20,6 +20,7 @@ from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import Recordings, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
+from nfpde.gap.search import search_all
 from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.trial import Court, Trial
@@ -72,7 +73,7 @@ def diagnose_gap(
     recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead)
     check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
-    nominal, base, court = _base_fit(start, recordings)
+    nominal, base, court = _base_fit(start, recordings, any(e.whole == "contact" for e, _ in candidates))
     report("noise of the sensors")
     yardstick = _yardstick(base, base, recordings, seed)[0]
     selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report, device)
@@ -99,8 +100,11 @@ def _nominal(start: Replay) -> Array:
     return np.clip(np.where(np.isnan(own), middle, own), start.low, start.high)
 
 
-def _base_fit(start: Replay, recordings: Recordings) -> tuple[Array, Trial, Court]:
-    """Held-out residuals of the nominal model, the fit of the parameters alone, and the court that judges effects."""
+def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Array, Trial, Court]:
+    """Held-out residuals of the nominal model, the fit of the parameters alone, and the court that judges effects.
+
+    Where contacts make the cost rugged, the parameters are searched by samples too.
+    """
     fitter = Fitter(recordings.fit, recordings.horizons)
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
     steps = np.array(recordings.horizons) - 1
@@ -112,6 +116,11 @@ def _base_fit(start: Replay, recordings: Recordings) -> tuple[Array, Trial, Cour
     for _ in range(2):
         court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
         fit = court.settle(fit, rounds=1, iterations=5)
+    if rugged and start.nfree:
+        some, part = court.screening(fit)
+        found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)
+        found = court.settle(found)
+        fit = found if found.cost < fit.cost else fit
     court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
     nominal = start.residuals(guesses[:1], recordings.held, recordings.horizons)[0]
     fit = fitter.rescale(fit, court.scatter(fit))

@@ -7,6 +7,8 @@ units of its own residuals: a likelihood whose scatter was learned far away need
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
@@ -24,6 +26,9 @@ ROUNDS, SAMPLES, ELITE = 5, 16, 4
 
 WIDE, NEAR = 1.0, 0.15
 """First standard deviation of the samples' logarithms: of effects of unknown size, and of those that were fitted."""
+
+_BOX = 0.25
+"""The same of parameters, as a share of their bounds."""
 
 _NARROW = 0.3
 """Least share of a standard deviation that is left after each round."""
@@ -50,27 +55,52 @@ def search(
         seed: Of the samples.
     """
     columns, effect = replay.columns(index), replay.effects[index]
-    size = len(effect.parameters)
-    floor = scatter.floor
-    costs = [spread(r, floor) for r in fitter.residuals_at(replay, guesses)]
-    first = int(np.argmin(costs))
-    best, best_cost = guesses[first], costs[first]
+    costs = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, guesses)]
+    best = guesses[int(np.argmin(costs))]
     away = _Away.of(effect, best[columns])
-    middle, widths = away.inward(best[columns]), np.full(size, width)
-    at, cost = middle[None], np.array([best_cost])
-    total = ROUNDS * SAMPLES
-    draws = norm.ppf(qmc.Sobol(size, seed=seed).random(1 << (total - 1).bit_length())[:total])
     low, high = replay.low[columns], replay.high[columns]
-    for part in draws.reshape(ROUNDS, SAMPLES, size):
-        xi = np.tile(best, (SAMPLES, 1))
-        xi[:, columns] = np.clip(away.outward(middle + widths * part), low, high)
-        found = np.array([spread(r, floor) for r in fitter.residuals_at(replay, xi)])
-        if found.min() < best_cost:
-            best, best_cost = xi[int(found.argmin())], float(found.min())
-        at, cost = np.concatenate([at, away.inward(xi[:, columns])]), np.concatenate([cost, found])
-        elite = at[np.argsort(cost, kind="stable")[:ELITE]]
+
+    def place(at: Array) -> Array:
+        xi = np.tile(best, (len(at), 1))
+        xi[:, columns] = np.clip(away.outward(at), low, high)
+        return xi
+
+    return _gather(fitter, replay, place, away.inward(best[columns]), width, SAMPLES, scatter, seed)
+
+
+def search_all(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
+    """The same for all free parameters of a fit together, over their bounds."""
+    replay = fit.replay
+    low, span = replay.low, replay.high - replay.low
+
+    def place(at: Array) -> Array:
+        return low + span * np.clip(at, 0.0, 1.0)
+
+    return _gather(fitter, replay, place, (fit.xi - low) / span, _BOX, 2 * SAMPLES, fit.scatter, seed)
+
+
+def _gather(
+    fitter: Fitter,
+    replay: Replay,
+    place: Callable[[Array], Array],
+    middle: Array,
+    width: float,
+    samples: int,
+    scatter: Scatter,
+    seed: int,
+) -> Fit:
+    """Rounds of samples, from one place on; `place` makes free parameters (S, D) of coordinates (S, k)."""
+    size, total = len(middle), ROUNDS * samples
+    draws = norm.ppf(qmc.Sobol(size, seed=seed).random(1 << (total - 1).bit_length())[:total])
+    at, widths = middle[None], np.full(size, width)
+    cost = np.array([spread(fitter.residuals_at(replay, place(at))[0], scatter.floor)])
+    for part in draws.reshape(ROUNDS, samples, size):
+        new = middle + widths * part
+        found = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, place(new))]
+        at, cost = np.concatenate([at, new]), np.concatenate([cost, found])
+        elite = at[np.argsort(cost, kind="stable")[: max(ELITE, samples // 4)]]
         middle, widths = elite.mean(0), np.maximum(elite.std(0, ddof=1), _NARROW * widths)
-    return fitter.start(replay, best[None], scatter)
+    return fitter.start(replay, place(at[[int(np.argmin(cost))]]), scatter)
 
 
 class _Away:
