@@ -64,7 +64,7 @@ def single_pendulum(*runs, control_dt=0.01):
     episodes = []
     for run in runs:
         table = np.loadtxt(REAL / "simple_pendulum" / run, delimiter=",", skiprows=1)
-        whole = Episode(run.replace("/", " "), *(table[:, c] if c == 0 else table[:, [c]] for c in range(4)))
+        whole = Episode(run.replace("/", " "), table[:, 0], table[:, [1]], table[:, [2]], table[:, [3]])
         pieces = split_episode_at_gaps(whole, max_gap=0.03)
         episodes += [resample_episode(p, control_dt, max_gap=0.03) for p in pieces if p.duration > 1.0]
     return mujoco.MjModel.from_xml_string(SINGLE_PENDULUM), Dataset(episodes)
@@ -84,7 +84,8 @@ def servo(gain=400, control_dt=0.01):
             continue
         fields = ("timestamp", "position", "speed", "goal_position")
         time, *rest = (np.array([e[k] for e in run["entries"]]) for k in fields)
-        whole = Episode(run["trajectory"], time, *(x[:, None] for x in rest))
+        q, v, goal = (x[:, None] for x in rest)
+        whole = Episode(run["trajectory"], time, q, v, goal)
         episodes.append(resample_episode(whole, control_dt, max_gap=0.05))
     return model, Dataset(episodes)
 

@@ -10,6 +10,7 @@ from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import NEAR_FLOOR, _verdict
 from nfpde.gap.overlap import always_touching, without_contacts
 from nfpde.gap.report import Level
+from tests.gap_systems import nominal, record
 
 LEG = """
 <mujoco><option timestep="0.005" integrator="implicitfast"/>
@@ -46,6 +47,27 @@ def test_a_leg_that_starts_inside_the_trunk_is_named():
     with pytest.raises(BadDataset, match=r"geoms overlap.*leg and trunk.*<exclude body1= body2=>"):
         diagnose_gap(leg(), data, windows=40)
     assert diagnose_gap(leg(EXCLUDED), data, windows=40).verdict == "no_gap"
+
+
+ODD = np.array([1.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda q, v, u: (q * ODD, v * ODD, u * ODD), "elbow's sign looks flipped \\("),
+        (lambda q, v, u: (q * ODD, v * ODD, u), "elbow's sign looks flipped in qpos and qvel"),
+        (lambda q, v, u: (q, v, u * ODD), "elbow's sign looks flipped in the commands"),
+        (lambda q, v, u: (q[:, ::-1], v[:, ::-1], u[:, ::-1]), "shoulder and elbow look swapped \\("),
+        (lambda q, v, u: (q[:, ::-1], v[:, ::-1], u), "shoulder and elbow look swapped in qpos and qvel"),
+        (lambda q, v, u: (q, v, u[:, ::-1]), "shoulder and elbow look swapped in the commands"),
+    ],
+)
+def test_signs_and_columns_are_named(change, words):
+    """States, commands or both of a joint with the wrong sign or in the wrong column: the text says which."""
+    wrong = [Episode(e.name, e.time, *change(e.qpos, e.qvel, e.ctrl)) for e in record(noise=1e-3)]
+    with pytest.raises(BadDataset, match=words):
+        diagnose_gap(nominal(), Dataset(wrong))
 
 
 def test_only_what_touches_in_every_pose_is_listed():

@@ -23,7 +23,14 @@ _WINDOWS = 60
 _CURED = 0.2
 """A change of sign or order that brings the error below this share of it was the cause."""
 
+_FITS = 0.01
+"""A model whose error is below this share of the motion has the right signs and order: one wrong joint of forty would
+make more."""
+
 _MOST_PAIRS = 70
+
+_PARTS = (("", True, True), (" in qpos and qvel", True, False), (" in the commands", False, True))
+"""What may be flipped or swapped of a joint: how to say it, whether its states are, whether its commands are."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +66,15 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
     _check_velocities(windows, joints)
     error = _error(replay, xi, windows)
     _check_contacts(replay, xi, windows, error)
+    if error < _FITS:
+        return
     flips = [
-        (f"{j.name}'s sign looks flipped", _flipped(windows, j, commands=c)) for j in joints for c in (False, True)
+        (f"{j.name}'s sign looks flipped{of}", _flipped(windows, j, *parts)) for j in joints for of, *parts in _PARTS
     ]
-    pairs = list(combinations(joints, 2))
-    swaps = [(f"{a.name} and {b.name} look swapped", _swapped(windows, a, b)) for a, b in pairs[:_MOST_PAIRS]]
+    pairs = list(combinations(joints, 2))[:_MOST_PAIRS]
+    swaps = [
+        (f"{a.name} and {b.name} look swapped{of}", _swapped(windows, a, b, *p)) for a, b in pairs for of, *p in _PARTS
+    ]
     trials = [(_error(replay, xi, changed), text) for text, changed in [*flips, *swaps]]
     if trials and min(trials)[0] < _CURED * error:
         best, text = min(trials)
@@ -127,19 +138,21 @@ def _error(replay: Replay, xi: Array, windows: Windows) -> float:
     return float(np.median(np.nan_to_num(((error / spread) ** 2).mean(1), nan=1e6)))
 
 
-def _flipped(windows: Windows, joint: _Joint, *, commands: bool) -> Windows:
-    """A joint's positions and speeds negated, with its commands or without."""
+def _flipped(windows: Windows, joint: _Joint, states: bool, commands: bool) -> Windows:
+    """A joint's positions and speeds negated, its commands, or both."""
     sign_x, sign_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
-    sign_x[[joint.q, windows.nq + joint.v]] = -1.0
+    sign_x[[joint.q, windows.nq + joint.v]] = -1.0 if states else 1.0
     sign_u[list(joint.ctrls)] = -1.0 if commands else 1.0
     return replace(windows, state=windows.state * sign_x, ctrl=windows.ctrl * sign_u, history=windows.history * sign_u)
 
 
-def _swapped(windows: Windows, a: _Joint, b: _Joint) -> Windows:
+def _swapped(windows: Windows, a: _Joint, b: _Joint, states: bool, commands: bool) -> Windows:
+    """Two joints' positions and speeds exchanged, their commands, or both."""
     order_x, order_u = np.arange(windows.state.shape[2]), np.arange(windows.nu)
-    for x, y in ((a.q, b.q), (windows.nq + a.v, windows.nq + b.v)):
-        order_x[[x, y]] = order_x[[y, x]]
-    if len(a.ctrls) == len(b.ctrls):
+    if states:
+        for x, y in ((a.q, b.q), (windows.nq + a.v, windows.nq + b.v)):
+            order_x[[x, y]] = order_x[[y, x]]
+    if commands and len(a.ctrls) == len(b.ctrls):
         order_u[[*a.ctrls, *b.ctrls]] = order_u[[*b.ctrls, *a.ctrls]]
     return replace(
         windows,
