@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
-from nfpde.errors import BadDataset
+from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import NEAR_FLOOR, _verdict
 from nfpde.gap.overlap import always_touching, without_contacts
 from nfpde.gap.report import Level
-from tests.gap_systems import nominal, record
+from tests.gap_systems import ARM, nominal, record
 
 LEG = """
 <mujoco><option timestep="0.005" integrator="implicitfast"/>
@@ -68,6 +68,20 @@ def test_signs_and_columns_are_named(change, words):
     wrong = [Episode(e.name, e.time, *change(e.qpos, e.qvel, e.ctrl)) for e in record(noise=1e-3)]
     with pytest.raises(BadDataset, match=words):
         diagnose_gap(nominal(), Dataset(wrong))
+
+
+def test_a_model_that_diverges_is_refused():
+    """Springs that push until the simulation blows up: the text says what to try, and no warning escapes."""
+    wild = mujoco.MjModel.from_xml_string(ARM.replace('damping="0.05"', 'stiffness="-40000"'))
+    with pytest.raises(SimulationDiverged, match=r"diverges from most recorded states.*halve its timestep"):
+        diagnose_gap(wild, record())
+
+
+def test_velocities_that_nobody_recorded_are_missed():
+    """Positions that change beside velocities of zero cannot be a robot's."""
+    data = Dataset([Episode(e.name, e.time, e.qpos, 0 * e.qvel, e.ctrl) for e in record()])
+    with pytest.raises(BadDataset, match="shoulder: its qpos changes while its qvel stands still at 0"):
+        diagnose_gap(nominal(), data)
 
 
 def test_only_what_touches_in_every_pose_is_listed():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.elements import actuator_ctrls, element_names, is_axis
-from nfpde.errors import BadDataset
+from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 _WINDOWS = 60
 _CURED = 0.2
 """A change of sign or order that brings the error below this share of it was the cause."""
+
+_DIVERGED = 1e6
+"""Error of a window whose simulation diverges."""
 
 _FITS = 0.01
 """A model whose error is below this share of the motion has the right signs and order: one wrong joint of forty would
@@ -53,6 +56,7 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
 
     Raises:
         BadDataset: What looks wrong, and what to do.
+        SimulationDiverged: Its simulation diverges.
     """
     windows = recordings.fit[np.unique(np.linspace(0, len(recordings.fit) - 1, _WINDOWS).astype(int))]
     model = replay.sim.model
@@ -65,6 +69,13 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
         )
     _check_velocities(windows, joints)
     error = _error(replay, xi, windows)
+    if error >= _DIVERGED:
+        raise SimulationDiverged(
+            "the nominal model's simulation diverges from most recorded states within "
+            f"{windows.horizon * windows.control_dt:.3g} s, so it predicts nothing: halve its timestep "
+            f"({replay.sim.model.opt.timestep:g} s), try another integrator (implicitfast), and look for springs that "
+            "push, gains too high, and tiny masses; recordings must be in rad and m"
+        )
     _check_contacts(replay, xi, windows, error)
     if error < _FITS:
         return
@@ -107,6 +118,11 @@ def _check_velocities(windows: Windows, joints: list[_Joint]) -> None:
                 f"{joint.name}: its qvel runs against the change of its qpos, so one of the two has the wrong sign; "
                 f"correct it in the recordings"
             )
+        if change.std() > 0 and speed.std() == 0:
+            raise BadDataset(
+                f"{joint.name}: its qpos changes while its qvel stands still at {speed[0]:g}; record velocities, or "
+                f"take them from differences of qpos"
+            )
 
 
 def _check_contacts(replay: Replay, xi: Array, windows: Windows, error: float) -> None:
@@ -135,7 +151,7 @@ def _error(replay: Replay, xi: Array, windows: Windows) -> float:
     error = states.difference(predicted, windows.target[:, -1])
     spread = np.sqrt((moved**2).mean(0))
     spread = np.maximum(spread, 1e-3 * spread.max(initial=0.0) + 1e-12)
-    return float(np.median(np.nan_to_num(((error / spread) ** 2).mean(1), nan=1e6)))
+    return float(np.median(np.nan_to_num(((error / spread) ** 2).mean(1), nan=_DIVERGED)))
 
 
 def _flipped(windows: Windows, joint: _Joint, states: bool, commands: bool) -> Windows:
