@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -33,7 +34,9 @@ LAZY = 2000
 """Points up to which POT's solver without a matrix takes part; beyond it takes minutes."""
 REPEATS = {300: 15, 2000: 5, 10**9: 3}
 """Repeats of a case with at most so many points; the median is reported."""
-SLOW = 15.0
+WARM = 2000
+"""Points up to which every run follows another of the same solver, so that it finds its own data in the caches."""
+SLOW = 5.0
 """CPU seconds from which on a peer runs once."""
 
 
@@ -144,21 +147,20 @@ def _measure(case: Case, peers: Peers | None) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             peers.load(_saved(data, Path(folder), full=True))
     repeats = next(count for limit, count in REPEATS.items() if max(case.n, case.m) <= limit)
-    times: dict[str, list[float]] = {name: [] for name in candidates}
+    runs: dict[str, Callable[[], tuple[float, float]]] = {
+        **{name: partial(_timed, solve, data) for name, solve in candidates.items()},
+        **({name: partial(peers.solve, name) for name in others} if peers else {}),
+    }
+    times: dict[str, list[float]] = {name: [] for name in runs}
     costs: dict[str, float] = {}
     for _ in range(repeats):
-        for name, solve in candidates.items():
+        for name, solve in runs.items():
             if max(times[name], default=0) > SLOW:
                 continue
-            started = time.process_time()
-            costs[name] = solve(*data)
-            times[name].append(time.process_time() - started)
-        if peers:
-            for name in others:
-                if max(times.get(name, ()), default=0) > SLOW:
-                    continue
-                seconds, costs[name] = peers.solve(name)
-                times.setdefault(name, []).append(seconds)
+            if max(case.n, case.m) <= WARM:
+                solve()
+            seconds, costs[name] = solve()
+            times[name].append(seconds)
     own = costs["nfpde"]
     return {
         "case": str(case),
@@ -167,6 +169,13 @@ def _measure(case: Case, peers: Peers | None) -> dict[str, Any]:
         "seconds": {name: statistics.median(t) for name, t in times.items()},
         "apart": max(abs(c - own) / own for c in costs.values()),
     }
+
+
+def _timed(solve: Solve, data: tuple[Array, Array, Array | None, Array | None]) -> tuple[float, float]:
+    """CPU seconds and cost."""
+    started = time.process_time()
+    cost = solve(*data)
+    return time.process_time() - started, cost
 
 
 def _pot(x: Array, y: Array, a: Array | None, b: Array | None) -> float:
@@ -244,6 +253,7 @@ def _table(rows: list[dict[str, Any]], large: list[dict[str, Any]], facts: dict[
             "From points to the exact Euclidean cost, one thread, median CPU time of interleaved runs in one process. "
             "Peers: how many times longer they take, the distance matrix (SciPy's) included; POT with numItermax=1e9, "
             f"because its default stops early at large sizes; a peer that takes {SLOW:.0f} s runs once; "
+            f"up to {WARM} points every timed run follows an untimed one of the same solver; "
             "lapjv, lapx (lapjvr) and Wasserstein in a process of their own, in turn with the others. "
             "`apart`: largest relative difference of the costs.",
             "",

@@ -60,17 +60,19 @@ impl<S: Simd> Least<S> {
 
     /// The least number and its place, the first of equals.
     #[inline(always)]
-    fn finish(self) -> (f64, usize) {
-        let (mut least, mut place) = (f64::INFINITY, usize::MAX);
-        for (lane, (&value, &step)) in lanes::<S>(&self.value).iter().zip(lanes::<S>(&self.step)).enumerate() {
-            let here = step as usize * S::F64_LANES + lane;
-            if value < least || (value == least && here < place) {
-                (least, place) = (value, here);
-            }
-        }
-        (least, place)
+    fn finish(self, simd: S) -> (f64, usize) {
+        let width = S::F64_LANES;
+        let lane = S::as_simd_f64s(&LANE_NUMBERS).0[0];
+        let places = simd.add_f64s(simd.mul_f64s(self.step, simd.splat_f64s(width as f64)), lane);
+        let least = simd.splat_f64s(simd.reduce_min_f64s(self.value));
+        let is_least = simd.equal_f64s(self.value, least);
+        let place = simd.reduce_min_f64s(simd.select_f64s(is_least, places, simd.splat_f64s(f64::INFINITY))) as usize;
+        // From its place, because a zero may have either sign.
+        (lanes::<S>(&self.value)[place % width], place)
     }
 }
+
+const LANE_NUMBERS: [f64; 8] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// The numbers of a vector.
 #[inline(always)]
@@ -106,7 +108,7 @@ impl WithSimd for LeastSum<'_> {
         for (&a, &b) in a1.iter().zip(b1) {
             even.take(simd, simd.add_f64s(a, b), step);
         }
-        let mut best = better_of(even.finish(), odd.finish());
+        let mut best = better_of(even.finish(simd), odd.finish(simd));
         for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
             best = better_of(best, (a + b, self.0.len() - a_rest.len() + k));
         }
@@ -133,7 +135,7 @@ impl WithSimd for TwoLeastSums<'_> {
             least.take(simd, value, step);
             step = simd.add_f64s(step, simd.splat_f64s(1.0));
         }
-        let (mut first, mut place) = least.finish();
+        let (mut first, mut place) = least.finish(simd);
         // The winners of the other lanes are candidates for the second place too.
         let winner = place % S::F64_LANES;
         let others =
@@ -185,7 +187,7 @@ impl WithSimd for Relax<'_> {
             least.take(simd, *distance, step);
             step = simd.add_f64s(step, one);
         }
-        let mut best = least.finish();
+        let mut best = least.finish(simd);
         let place = len - a_rest.len();
         for k in 0..a_rest.len() {
             let new = a_rest[k] + b_rest[k] + self.offset;
