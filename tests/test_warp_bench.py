@@ -1,16 +1,17 @@
 """The benchmark of losses on a device does what its table says; tried on Warp's CPU device."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from nfpde.bench import losses_warp
+from nfpde.bench import devices, losses_warp
 from nfpde.bench.estimation.calibration import CalibrationSettings, problem
 from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.benchmarks import robot
 from nfpde.errors import BadInput
-from nfpde.estimation import TrajectoryConfig
+from nfpde.estimation import NfpdeConfig, TrajectoryConfig
 from nfpde.sim.warp import WarpSimulator
 
 
@@ -63,3 +64,71 @@ def test_a_file_says_where_its_fits_were_simulated():
     body = robot("hopper")
     assert facts_of_device(body, "cpu") == {}
     assert facts_of_device(body, "warp-cpu")["device"].startswith("warp-cpu: MuJoCo Warp")
+
+
+def sized(share, rate, used):
+    return {
+        "robot": "hopper",
+        "worlds_at_once": 32_000,
+        "share_of_bare": share,
+        "evaluations_per_second": rate,
+        "predicted_bytes": 100,
+        "measured_bytes": used,
+    }
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([sized(0.95, 1e6, 90), sized(0.93, 1.05e6, 95)], "hopper: pass; least share 0.93, slowest / fastest 0.95"),
+        ([sized(0.95, 1e6, 90), sized(0.85, 1e6, 90)], "hopper: FAIL; least share 0.85"),
+        ([sized(0.95, 1e6, 90), sized(0.95, 2e6, 90)], "slowest / fastest 0.50, memory used / predicted 0.90"),
+        (
+            [sized(0.95, 1e6, 150)],
+            "hopper: FAIL; least share 0.95, slowest / fastest 1.00, memory used / predicted 1.50",
+        ),
+        ([sized(0.5, 1e6, 90) | {"worlds_at_once": 1000}], "hopper: no size with 30000 worlds at once was measured"),
+    ],
+)
+def test_what_is_wanted_of_a_gpu(rows, text):
+    """Share of bare stepping, linearity and memory each decide, over the sizes that fill a GPU."""
+    assert text in "\n".join(losses_warp._verdicts(rows))
+
+
+def test_fits_from_end_to_end_on_both_devices(monkeypatch, tmp_path, capsys):
+    """A row for each fit with both devices' seconds and answers; whole trajectories agree to a part of their error."""
+    small = devices.Sizes(
+        episodes=2,
+        steps=20,
+        softmax=NfpdeConfig(iterations=1, samples=10, transitions=4, transforms=1, hidden=4),
+        trajectory=TrajectoryConfig(starts=2, steps=6, rounds=8, draws=20, population_rounds=1),
+    )
+    monkeypatch.setattr(devices, "QUICK", small)
+    monkeypatch.setattr(devices, "ROBOT", "pendulum")
+    monkeypatch.setattr(losses_warp, "run", lambda *_: None)
+    devices.run(True, tmp_path, "warp-cpu")
+    facts = json.loads((tmp_path / "devices_warp-cpu_quick.json").read_text())
+    assert [name.split(":")[0] for name in facts["devices"]] == ["cpu", "warp-cpu"]
+    trajectory, softmax = facts["rows"]
+    # either search stops within 0.03 standard deviations of its optimum (1e-3 in cost), by its own noise estimate
+    assert float(trajectory["apart"].split()[0]) < 0.3
+    assert softmax["what"].startswith("fit by softmax")
+    table = (tmp_path / "devices_warp-cpu_quick.md").read_text()
+    assert "nfpde bench devices --device warp-cpu --quick" in table
+    assert table in capsys.readouterr().out
+
+
+def test_a_diagnosis_that_differs_is_said(monkeypatch):
+    """The same system goes to both devices; another verdict or cause stands out in the table."""
+    asked = []
+
+    def diagnose(model, data, space, *, seed, windows, device):
+        asked.append(device)
+        cause = SimpleNamespace(effect="backlash" if device == "cpu" else "dead_zone", target="elbow")
+        return SimpleNamespace(verdict="effects", effects=[cause], gap=SimpleNamespace(after_effects=0.25))
+
+    monkeypatch.setattr(devices, "diagnose_gap", diagnose)
+    row = devices._diagnosis_row(0, 40, "warp-cpu")
+    assert asked == ["cpu", "warp-cpu"]
+    assert row["answers"] == ["effects, backlash elbow", "effects, dead_zone elbow"]
+    assert row["apart"] == "ANOTHER ANSWER; gap left 0.25, 0.25"

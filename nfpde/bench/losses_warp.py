@@ -38,6 +38,9 @@ TINY_SIZES = (200,)
 CPU_PAIRS = 20_000
 """Pairs of one call on the CPU, whose time is proportional to them."""
 
+SHARE, MANY, ROOM = 0.9, 30_000, 1.2
+"""What is wanted: see `_verdicts`."""
+
 START = """
 import time
 begin = time.perf_counter()
@@ -152,6 +155,28 @@ def _seconds(way: Callable[[], object], repeats: int) -> float:
     return median(found)
 
 
+def _verdicts(rows: list[dict[str, Any]]) -> list[str]:
+    """Whether the sizes that were measured are as fast as wanted, linear, and as large as predicted."""
+    lines = [f"Wanted from {MANY} worlds at once on: a share of at least {SHARE}, time proportional to the pairs,"]
+    lines += [f"and no more memory than predicted ({ROOM:g} times).", ""]
+    for name in dict.fromkeys(row["robot"] for row in rows):
+        own = [row for row in rows if row["robot"] == name and row["worlds_at_once"] >= MANY]
+        if not own:
+            lines.append(f"- {name}: no size with {MANY} worlds at once was measured")
+            continue
+        share = min(row["share_of_bare"] for row in own)
+        rates = [row["evaluations_per_second"] for row in own]
+        linear = min(rates) / max(rates)
+        known = [row["measured_bytes"] / row["predicted_bytes"] for row in own if row["measured_bytes"] is not None]
+        memory = f"memory used / predicted {max(known):.2f}" if known else "memory not measured"
+        passed = share >= SHARE and linear >= SHARE and max(known, default=0.0) <= ROOM
+        lines.append(
+            f"- {name}: {'pass' if passed else 'FAIL'}; least share {share:.2f}, slowest / fastest {linear:.2f}, "
+            f"{memory}"
+        )
+    return lines
+
+
 def _line(row: dict[str, Any]) -> str:
     memory = [f"{b / 2**30:.2f}" if b is not None else "-" for b in (row["predicted_bytes"], row["measured_bytes"])]
     return (
@@ -182,6 +207,8 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "| GiB used |",
             "|---|---|---|---|---|---|---|---|---|---|",
             *map(_line, rows),
+            "",
+            *_verdicts(rows),
             "",
             f"From nothing to the first losses, in a fresh process (cold: no kernel compiled): {begun}.",
             "",

@@ -35,6 +35,18 @@ def losses(
         losses_warp.run(quick, out, device)
 
 
+@app.command("devices")
+def devices(
+    quick: Quick = False,
+    out: Out = Path("docs/results"),
+    device: Annotated[Device, typer.Option(help="cuda; warp-cpu tries the code")] = "cuda",
+) -> None:
+    """All that is to be measured on a GPU: losses, fits and a diagnosis from end to end, beside the CPU."""
+    from nfpde.bench import devices as bench
+
+    bench.run(quick, out, device)
+
+
 @app.command("ot")
 def ot(
     quick: Quick = False,
