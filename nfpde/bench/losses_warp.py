@@ -64,6 +64,9 @@ def run(quick: bool, out: Path, device: Device) -> None:
     """
     if device not in ("cuda", "warp-cpu"):
         raise BadInput(f"device is {device!r}; this table is of cuda or warp-cpu")
+    from nfpde.sim.warp_device import open_device
+
+    open_device(device)  # refuses before anything is measured
     sizes = TINY_SIZES if device == "warp-cpu" else QUICK_SIZES if quick else SIZES
     repeats = 3 if quick else 7
     rows, starts, card = [], {}, ""
