@@ -14,7 +14,7 @@ from nfpde.estimation.trajectory.compete import SMOOTHED, Candidate, Competition
 from nfpde.estimation.trajectory.em import fit_mixture, spread_out
 from nfpde.estimation.trajectory.gaussians import Gaussians, joined
 from nfpde.estimation.trajectory.likelihood import Quadratic, without_rounding
-from nfpde.estimation.trajectory.noise import Noise
+from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.pool import Pool, Ratios, box_log_density, effective
 from nfpde.estimation.trajectory.sampling import corrected, local_proposal, temperature
 from nfpde.estimation.trajectory.stages import TwoStages
@@ -91,10 +91,10 @@ def test_evidence_is_the_integral_over_the_population():
         end = start + DT * 1.0 * u + 0.1 * rng.normal(size=1)
         episodes.append(nfpde.Episode(f"{k}", [0, DT], [start, end], np.empty((2, 0)), [u, u], robot="one"))
     problem = make_problem(simulator, nfpde.Dataset(episodes), 1)
-    noise = Noise(np.eye(1) * problem.unit / 0.1, 1e6)
+    noise = Noise.alike(Scatter(np.zeros(0), np.eye(1) * (0.1 / problem.unit) ** 2), problem.members)
     grid = np.linspace(-9, 9, 4001)[:, None]
     residuals = problem.residuals(space.to_physical(grid), np.zeros(len(grid), int))
-    exact = np.array([-0.5 * noise.cost(((r @ noise.whitener) ** 2).sum(1)).sum() for r in residuals])
+    exact = -0.5 * noise.totals(np.zeros(len(grid), int), residuals)
 
     def integral(log_prior):
         return float(logsumexp(exact + log_prior) + np.log(grid[1, 0] - grid[0, 0]))

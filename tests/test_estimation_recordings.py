@@ -75,19 +75,22 @@ def test_hundreds_of_short_episodes():
 
 
 def test_resolution_is_the_floor_of_the_noise():
-    """Sensors that show steps of 0.01 leave residuals of no less than their rounding, which the errors then show."""
+    """Sensors that show steps of 0.01 leave no smaller errors than their rounding, as the standard errors show."""
     rng = np.random.default_rng(16)
     episodes = [drifting("a", (1.0, 0.5), rng, 40)]
     fine, _ = both_stages(linear_simulator(), nfpde.Dataset(episodes))
     coarse, rounded = both_stages(linear_simulator(), nfpde.Dataset(episodes), resolution=0.01)
     unit = coarse.problem.unit[0]
     assert np.exp(fine.alone.noise.log_scale) < 1e-8
-    assert np.exp(coarse.alone.noise.log_scale) * unit == pytest.approx(0.01 / np.sqrt(12), rel=1e-6)
+    # rounded at both ends, each row at the end of one transition and at the start of the next
+    covariance = 0.01**2 / 12 * (2 * np.eye(39) - np.eye(39, k=1) - np.eye(39, k=-1))
+    typical = np.exp(np.linalg.slogdet(covariance)[1] / 2 / 39)
+    assert np.exp(coarse.alone.noise.log_scale) * unit == pytest.approx(typical, rel=1e-6)
     design = DT * np.column_stack([episodes[0].ctrl[:-1, 0], np.ones(39)])
     # the exact covariance of least squares with that noise, seen in z: slope of the box at the mode
     (p,) = rounded.posteriors
     slope = np.diag(SPACE.width * 0.25 * (1 - np.tanh(p.means[0] / 2) ** 2))
-    closed = 0.01**2 / 12 * np.linalg.inv(design.T @ design)
+    closed = np.linalg.inv(design.T @ np.linalg.solve(covariance, design))
     np.testing.assert_allclose(slope @ p.covariances[0] @ slope, closed, rtol=0.02, atol=0.02 * closed.max())
 
 

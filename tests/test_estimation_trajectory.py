@@ -16,8 +16,9 @@ from nfpde.estimation.trajectory import (
     mixture_of,
     smoothing_matrix,
 )
-from nfpde.estimation.trajectory.noise import Noise, learn_noise
+from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.population import BANDWIDTHS, leave_one_out
+from nfpde.estimation.trajectory.student import learn_student
 
 torch.set_num_threads(1)
 
@@ -147,10 +148,11 @@ def test_a_jump_is_no_information():
     from nfpde.estimation.trajectory.levenberg import linearise, start
 
     problem = make_problem(simulator, nfpde.Dataset(episodes), 1)
-    candidates = start(problem, np.zeros((1, 1)), np.array([0]), Noise(np.eye(1) / 0.01, 1e6))
-    linearise(problem, candidates, Noise(np.eye(1) / 0.01, 1e6), np.array([0]), careful=True)
+    noise = Noise.alike(Scatter(np.zeros(0), np.eye(1) * 1e-4), problem.members)
+    candidates = start(problem, np.zeros((1, 1)), np.array([0]), noise)
+    linearise(problem, candidates, noise, np.array([0]), careful=True)
     careful = float(candidates.data_information[0, 0, 0])
-    linearise(problem, candidates, Noise(np.eye(1) / 0.01, 1e6), np.array([0]))
+    linearise(problem, candidates, noise, np.array([0]))
     assert careful < 1e-4 * float(candidates.data_information[0, 0, 0])
 
 
@@ -159,10 +161,10 @@ def test_noise_is_learned_through_outliers():
     rng = np.random.default_rng(4)
     root = np.array([[1.0, 0.0], [0.8, 0.6]])
     r = rng.normal(size=(2000, 2)) @ root.T
-    clean = learn_noise([r], 0, np.full(2, 1e-9))
+    clean = learn_student([r], 0, np.full(2, 1e-9))
     wild = r.copy()
     wild[::10] *= 100.0
-    robust = learn_noise([wild], 0, np.full(2, 1e-9))
+    robust = learn_student([wild], 0, np.full(2, 1e-9))
     scatter = np.linalg.inv(clean.whitener @ clean.whitener.T)
     # 2000 samples give variances to 3 %; the t's scatter is a little below the covariance
     np.testing.assert_allclose(scatter, root @ root.T, rtol=0.15, atol=0.05)
@@ -172,7 +174,7 @@ def test_noise_is_learned_through_outliers():
 
 def test_noise_never_falls_below_the_floor():
     """Perfect residuals leave the floor."""
-    noise = learn_noise([np.zeros((50, 3))], 0, np.full(3, 1e-9))
+    noise = learn_student([np.zeros((50, 3))], 0, np.full(3, 1e-9))
     np.testing.assert_allclose(np.linalg.svd(noise.whitener, compute_uv=False), 1e9)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from nfpde.estimation.trajectory.noise import Noise, learn_noise
+from nfpde.estimation.trajectory.student import GAUSSIAN, Student, learn_student
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class Scatter:
     floor: smallest residual believed (nv, C)
     """
 
-    noises: tuple[Noise, ...]
+    noises: tuple[Student, ...]
     floor: Array
 
     def whiten(self, residuals: Array) -> Array:
@@ -48,11 +48,11 @@ class Scatter:
         return np.sum(parts, axis=0)
 
 
-def _constant(noise: Noise) -> float:
+def _constant(noise: Student) -> float:
     """The part of a log density that does not depend on the residual."""
     channels, degrees = len(noise.whitener), noise.degrees
     volume = float(np.linalg.slogdet(noise.whitener)[1])
-    if degrees >= 1e6:
+    if degrees >= GAUSSIAN:
         return volume - 0.5 * channels * np.log(2 * np.pi)
     tails = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
     return float(volume + tails)
@@ -61,7 +61,7 @@ def _constant(noise: Noise) -> float:
 def learn_scatter(residuals: Array, fitted: int, floor: Array) -> Scatter:
     """Maximum-likelihood scatter of residuals (N, nv, C) that `fitted` parameters were fitted to."""
     share = max(1, fitted // residuals.shape[1])
-    return Scatter(tuple(learn_noise([residuals[:, d]], share, floor[d]) for d in range(residuals.shape[1])), floor)
+    return Scatter(tuple(learn_student([residuals[:, d]], share, floor[d]) for d in range(residuals.shape[1])), floor)
 
 
 def floor_of(residuals: Array, moved: Array) -> Array:

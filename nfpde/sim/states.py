@@ -56,6 +56,21 @@ class StateSpace:
         parts.append(raw[..., column:])
         return np.concatenate(parts, axis=-1)
 
+    def moved(self, state: Array, step: Array) -> Array:
+        """States moved along tangent vectors, (..., nq+nv) and (..., ndiff) to (..., nq+nv): undoes `difference`.
+
+        A rotation vector [rad] turns a unit quaternion in the body's frame, as mj_integratePos with dt = 1.
+        """
+        if not self.quaternions:
+            return state + step
+        parts, column, tangent = [], 0, 0
+        for q, v in self.quaternions:
+            parts.append(state[..., column:q] + step[..., tangent:v])
+            parts.append(_turned(state[..., q : q + 4], step[..., v : v + 3]))
+            column, tangent = q + 4, v + 3
+        parts.append(state[..., column:] + step[..., tangent:])
+        return np.concatenate(parts, axis=-1)
+
     @classmethod
     def of_model(cls, model: mujoco.MjModel) -> StateSpace:
         """The state space of a MuJoCo model."""
@@ -87,3 +102,14 @@ def _rotation_between(a: Array, b: Array) -> Array:
     angle = 2 * np.arctan2(sine, np.abs(scalar))
     ratio = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
     return np.where(scalar < 0, -1.0, 1.0) * ratio * vector
+
+
+def _turned(quaternion: Array, rotation: Array) -> Array:
+    """Quaternions (..., 4) turned by rotation vectors (..., 3) in the body's frame; unit quaternions (..., 4)."""
+    a = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    # sinc is sin(pi x) / (pi x): half of it turns a rotation vector into the vector part of a quaternion
+    scalar, vector = np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2 * np.pi)) * rotation
+    first = a[..., :1] * scalar - (a[..., 1:] * vector).sum(-1, keepdims=True)
+    rest = a[..., :1] * vector + scalar * a[..., 1:] + np.cross(a[..., 1:], vector)
+    return np.concatenate([first, rest], axis=-1)

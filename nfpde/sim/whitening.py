@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,6 @@ Index = NDArray[np.intp]
 
 DIVERGED = 1e30
 """Squared white innovation of a window whose simulation diverged, and the most there is."""
-
-NUMBERS_AT_ONCE = 1 << 22
-"""Numbers of gathered matrices that are held at once, about (32 MiB)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,39 +62,45 @@ class Whitening:
             window: window of each row, (R,).
         """
         white = np.empty_like(residuals)
-        step = max(1, NUMBERS_AT_ONCE // self.channels**2)
-        with np.errstate(over="ignore", invalid="ignore"):
-            for start in range(0, len(white), step):
-                part = slice(start, start + step)
-                white[part] = _apply(self.own, window[part], residuals[part])
-            for now in self._linked_rows(vector, window):
-                told = white[now - 1]
-                white[now] -= _apply(self.carry, window[now], np.where(np.isfinite(told), told, 0.0))
+        edges = np.flatnonzero(np.diff(vector, prepend=-1, append=-1))
+        first = 0
+        for here, after in pairwise(range(len(edges))):
+            same = after + 1 < len(edges) and np.array_equal(
+                window[edges[here] : edges[after]], window[edges[after] : edges[after + 1]]
+            )
+            if not same:
+                # vectors with the same windows go side by side
+                block = slice(edges[first], edges[after])
+                shape = (after - first, -1, self.channels)
+                own = window[edges[here] : edges[after]]
+                white[block] = self.along(own, residuals[block].reshape(shape)).reshape(-1, self.channels)
+                first = after
         return white
+
+    def along(self, window: Index, residuals: Array) -> Array:
+        """White innovations of many residuals of one recording: windows (n,) in order, (..., n, C) to (..., n, C).
+
+        A row that is not finite stays so, and takes nothing from the next.
+        """
+        own = self.own if len(self.own) == 1 else self.own[window]
+        with np.errstate(over="ignore", invalid="ignore"):
+            flat = residuals.reshape(-1, *residuals.shape[-2:])
+            # one product of matrices for every window, with all its residuals side by side
+            white = np.ascontiguousarray((own @ flat.transpose(1, 2, 0)).transpose(2, 0, 1))
+            for t in np.flatnonzero(self.linked[window][1:]) + 1:
+                told = white[..., t - 1, :]
+                carry = self.carry[window[t] if len(self.carry) > 1 else 0]
+                white[..., t, :] -= np.where(np.isfinite(told), told, 0.0) @ carry.T
+        return white.reshape(residuals.shape)
+
+    def cost(self, white: Array) -> Array:
+        """Twice the negative log density of white innovations, up to a constant, (..., C) to (...)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = (white**2).sum(-1)
+        squares = np.where(squares < DIVERGED, squares, DIVERGED)
+        return (self.degrees + self.channels) * np.log1p(squares / self.degrees)
 
     def costs(self, residuals: Array, vector: Index, window: Index, m: int) -> Array:
         """Twice the negative log likelihood of each of m vectors, up to a constant, (m,); arguments as in `whiten`."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = (self.whiten(residuals, vector, window) ** 2).sum(1)
-        squares = np.where(squares < DIVERGED, squares, DIVERGED)
-        cost = (self.degrees + self.channels) * np.log1p(squares / self.degrees)
+        cost = self.cost(self.whiten(residuals, vector, window))
         return np.asarray(np.bincount(vector, weights=cost, minlength=m), np.float64)
-
-    def _linked_rows(self, vector: Index, window: Index) -> list[Index]:
-        """Rows that go on from the row before them: first those whose predecessor goes on from none, and so on."""
-        linked = self.linked[window]
-        linked[:1] = False
-        linked[1:] &= vector[1:] == vector[:-1]
-        if not linked.any():
-            return []
-        every = np.arange(len(linked))
-        place = every - np.maximum.accumulate(np.where(linked, 0, every))
-        order = np.argsort(place, kind="stable")
-        return np.split(order, np.cumsum(np.bincount(place))[:-1])[1:]
-
-
-def _apply(matrices: Array, window: Index, rows: Array) -> Array:
-    """Each window's own matrix times its row, (R, C)."""
-    if len(matrices) == 1:
-        return rows @ matrices[0].T
-    return np.einsum("rij,rj->ri", matrices[window], rows)

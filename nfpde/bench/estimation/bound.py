@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.bench.estimation.sensing import apart, channel_spread, move
+from nfpde.bench.estimation.sensing import apart, channel_spread
 from nfpde.dataset import Dataset, Windows
 from nfpde.losses import increment_scale
 from nfpde.sim import MujocoSimulator
@@ -147,16 +147,14 @@ def state_slopes(simulator: MujocoSimulator, windows: Windows, xi: Array, spread
     n, c = len(windows), len(spread)
     centre = simulator.rollout(xi, windows, windows.episode, np.arange(n))[:, 0]
     slopes = np.empty((n, c, c))
-    nq = windows.nq
     for j in range(c):
         size = STEP * spread[j] if spread[j] > 0 else STEP
         sides = []
         for sign in (1, -1):
             step = np.zeros((n, c))
             step[:, j] = sign * size
-            qpos, qvel = move(simulator.model, windows.start[:, :nq], windows.start[:, nq:], step)
             state = windows.state.copy()
-            state[:, 0] = np.hstack([qpos, qvel])
+            state[:, 0] = simulator.states.moved(windows.start, step)
             ends = simulator.rollout(xi, replace(windows, state=state), windows.episode, np.arange(n))[:, 0]
             sides.append(simulator.states.difference(ends, centre) / (sign * size))
         slopes[:, :, j] = _smaller(*sides)

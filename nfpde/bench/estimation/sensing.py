@@ -30,15 +30,16 @@ def with_noise(model: mujoco.MjModel, dataset: Dataset, share: float, seed: int)
         The noisy recordings, and the standard deviation of the noise of every channel of a state difference,
         (2 nv,), positions first.
     """
-    sigma = share * channel_spread(StateSpace.of_model(model), dataset)
+    states = StateSpace.of_model(model)
+    sigma = share * channel_spread(states, dataset)
     if share == 0:
         return dataset, sigma
     rng = np.random.default_rng([seed, 1])  # not the stream that the recordings were made with
     episodes = []
     for e in dataset:
         noise = sigma * rng.standard_normal((len(e), 2 * model.nv))
-        qpos, qvel = move(model, e.qpos, e.qvel, noise)
-        episodes.append(Episode(e.name, e.time, qpos, qvel, e.ctrl, e.robot))
+        rows = states.moved(np.hstack([e.qpos, e.qvel]), noise)
+        episodes.append(Episode(e.name, e.time, rows[:, : model.nq], rows[:, model.nq :], e.ctrl, e.robot))
     return replace(dataset, episodes=episodes), sigma
 
 
@@ -62,11 +63,3 @@ def channel_spread(states: StateSpace, dataset: Dataset) -> Array:
     rows = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in dataset])
     # the difference normalises the mean of the quaternions
     return states.difference(rows, rows.mean(0)).std(0)
-
-
-def move(model: mujoco.MjModel, qpos: Array, qvel: Array, step: Array) -> tuple[Array, Array]:
-    """States moved in their tangent space: qpos (n, nq), qvel (n, nv) by step (n, 2 nv)."""
-    moved = qpos.copy()
-    for row, change in zip(moved, np.ascontiguousarray(step[:, : model.nv]), strict=True):
-        mujoco.mj_integratePos(model, row, change, 1.0)
-    return moved, qvel + step[:, model.nv :]

@@ -143,13 +143,15 @@ def _next(info: dict[str, Any]) -> str:
 
 
 def _errors(info: dict[str, Any]) -> str:
-    rows = [[escape(name), _number(row["before"]), _number(row["after"])] for name, row in info["residuals"].items()]
+    columns = ("before", "after", "sensor", "simulation")
+    rows = [[escape(name), *(_number(row[c]) for c in columns)] for name, row in info["residuals"].items()]
     note = (
         '<p class="note">Root mean square, in the recorded units, one window ahead. Before: every parameter in the '
-        f"middle of its bounds. Tails of what is left: Student's t with {info['noise_degrees']:g} degrees of freedom."
-        "</p>"
+        "middle of its bounds. What is left is put down to errors of the measured states, which a window's start hands "
+        "on to its end, and to what the simulation lacks; both columns are standard deviations. Tails: Student's t "
+        f"with {info['noise_degrees']:g} degrees of freedom.</p>"
     )
-    return f"<details><summary>Numbers</summary>{_table(['channel', 'before', 'after'], rows)}</details>{note}"
+    return f"<details><summary>Numbers</summary>{_table(['channel', *columns], rows)}</details>{note}"
 
 
 def _population(info: dict[str, Any]) -> str:

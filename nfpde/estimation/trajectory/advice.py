@@ -127,7 +127,7 @@ def _information(problem: Problem, windows: Windows, xi: Array, asked: list[int]
         moved = xi.copy()
         moved[i] += sign * STEP * space.width[i]
         slope = simulator.states.difference(simulator.rollout(moved[None], windows, np.zeros(n, int), every), centre)
-        white = (slope.reshape(n, -1) / problem.unit / STEP) @ noise.whitener
+        white = (slope.reshape(n, -1) / problem.unit / STEP) @ noise.alone
         squares = (white**2).sum(1)
         squares = squares[np.isfinite(squares)]
         # a contact that opens within the step is a jump and no information: the middle half of the moments counts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,34 @@ from torch import Tensor
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import SimulationDiverged
 from nfpde.estimation.config import TrajectoryConfig
-from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, reweigh, start
+from nfpde.estimation.trajectory.chains import Chains
+from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
-from nfpde.estimation.trajectory.noise import Noise, learn_noise
+from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.problem import Problem
+from nfpde.estimation.trajectory.scatter import learn_alike, learn_shared
+from nfpde.estimation.trajectory.starts import start_slopes
 
 Array = NDArray[np.float64]
 
 BORROWING_ROUNDS = (1, 2, 3)
 """Rounds that also start from where other robots ended: a robot stuck in a local minimum gets out of it there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Where the windows were linearised for the noise, and what each tells of the next.
+
+    best: parameters of every robot, z                                     (G, D)
+    size: typical error of a state that was tried, in units                (ndiff,)
+    weights: of the windows                                                (N,)
+    errors: of the states from which they start, in units                  (N, ndiff)
+    """
+
+    best: Array
+    size: Array
+    weights: Array
+    errors: Array
 
 
 @dataclass
@@ -45,7 +64,11 @@ class TrajectoryEstimator:
 
     def __post_init__(self) -> None:
         self.robots = len(self.problem.members)
-        self.noise = Noise(np.eye(self.problem.channels), 1e6)
+        self.chains = Chains.of(self.problem.linked)
+        self.noise = Noise.alike(Scatter.white(self.problem.channels), self.problem.members)
+        self.measured = self.problem
+        self.linear: Linear | None = None
+        self.slopes: Array | None = None
 
     @property
     def title(self) -> str:
@@ -78,15 +101,14 @@ class TrajectoryEstimator:
         before = self.noise.log_scale
         self._learn_noise()
         change = self.noise.log_scale - before
-        reweigh(c, self.noise)
         self.iteration += 1
         settled = abs(change) < 1e-2
         self.converged = bool(settled and self.iteration > 1 + (self.robots > 1))
-        best = self._best()
+        best, c = self._best(), self.candidates
         figures = {
             "loss": float(np.mean([np.mean(c.residuals[k] ** 2) for k in best])),
             "noise": float(np.exp(self.noise.log_scale)),
-            "degrees": self.noise.degrees,
+            "degrees": self.noise.scatter.degrees,
             "modes": len(c.robot) / self.robots,
         }
         seconds = time.perf_counter() - started
@@ -119,7 +141,7 @@ class TrajectoryEstimator:
                 f"every simulation of the recordings diverged, from {n} starting points inside the bounds: check the "
                 "recorded states (units, order of columns), the control step and the bounds"
             )
-        self.noise = learn_noise(c.residuals, 0, self.problem.floor)
+        self.noise = Noise.alike(learn_alike(c.residuals, 0, self.problem.floor), self.problem.members)
         reweigh(c, self.noise)
         self.candidates = c
 
@@ -140,8 +162,24 @@ class TrajectoryEstimator:
         c = self.candidates
         if c is None:
             return
-        fitted = self.robots * len(self.problem.simulator.space)
-        self.noise = learn_noise([c.residuals[k] for k in self._best()], fitted, self.problem.floor)
+        p, best = self.measured, self._best()
+        fitted, z = self.robots * len(p.simulator.space), c.z[best]
+        residuals = np.concatenate([c.residuals[k] for k in best])
+        start = self.noise.scatter
+        if self.slopes is None:
+            start = learn_alike([residuals], fitted, p.floor)
+            self.slopes = start_slopes(p, z, np.sqrt(np.diag(start.process)[-p.simulator.states.ndiff :]))
+        found = learn_shared(start, residuals, self.slopes, self.chains, fitted, (p.grain, p.floor))
+        self._linearise(Linear(z, found.left, found.weights, found.errors), found.scatter)
+        restart(self.problem, c, self.noise)
+
+    def _linearise(self, linear: Linear, scatter: Scatter) -> None:
+        """Start the windows where the smoother puts them, and linearise there."""
+        started = self.measured.started_from(linear.errors)
+        self.linear, self.slopes = linear, start_slopes(started, linear.best, linear.size)
+        # the residuals are those from the measured states again, were the ends linear in them
+        self.problem = started.grown_by(np.einsum("ncd,nd->nc", self.slopes, linear.errors))
+        self.noise = Noise.of(scatter, self.slopes, self.chains, linear.weights, self.problem.members)
 
     def _best(self) -> NDArray[np.intp]:
         """Index of every robot's best candidate, (G,)."""
@@ -154,7 +192,9 @@ class TrajectoryEstimator:
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next round depends on, as tensors and JSON."""
         c = self.candidates
-        saved = {"whitener": self.noise.whitener, "degrees": self.noise.degrees}
+        saved: dict[str, Any] = vars(self.noise.scatter).copy()
+        if self.linear is not None:
+            saved |= vars(self.linear)
         if c is not None:
             saved |= {"robot": c.robot, "z": c.z, "damping": c.damping}
         tensors, layout = flatten_state("trajectory", saved)
@@ -165,7 +205,10 @@ class TrajectoryEstimator:
         """Go on from a `state`; the candidates are simulated again."""
         saved = restore_state(info["trajectory"], tensors)
         self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
-        self.noise = Noise(saved["whitener"], saved["degrees"])
+        scatter = Scatter(saved["sensor"], saved["process"], saved["degrees"], saved["scale"])
+        self.noise = Noise.alike(scatter, self.problem.members)
+        if "best" in saved:
+            self._linearise(Linear(*(saved[f.name] for f in fields(Linear))), scatter)
         if "z" in saved:
             c = start(self.problem, saved["z"], saved["robot"], self.noise)
             c.damping = saved["damping"]

@@ -46,7 +46,8 @@ def fit_trajectory(
     robots = together.robot_posteriors()
     knowledge = [Knowledge.of(space, p.means[0], p.fisher[0]) for p in together.posteriors]
     steps = problem.simulator.simulated_steps
-    errors, diverged = channel_errors(problem, np.array([p.means[0] for p in together.posteriors]))
+    best, scatter = np.array([p.means[0] for p in together.posteriors]), estimator.alone.noise.scatter
+    errors, diverged = channel_errors(problem, best, scatter)
     described = {
         "tells": describe_knowledge(knowledge),
         "record_next": record_next(problem, knowledge, together.noise),
@@ -55,7 +56,7 @@ def fit_trajectory(
     counted["simulated_steps"] += problem.simulator.simulated_steps - steps
     found = {
         "converged": estimator.alone.converged,
-        "noise_degrees": estimator.alone.noise.degrees,
+        "noise_degrees": scatter.degrees,
         "population": describe_population(together),
         "robots": [
             row | {"diverged": n}

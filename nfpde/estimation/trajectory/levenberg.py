@@ -68,7 +68,7 @@ def start(problem: Problem, z: Array, robot: Index, noise: Noise) -> Candidates:
     return Candidates(
         robot,
         z.copy(),
-        _costs(residuals, z, noise),
+        _costs(residuals, robot, z, noise),
         residuals,
         np.tile(np.eye(d), (k, 1, 1)),
         np.zeros((k, d, d)),
@@ -77,9 +77,15 @@ def start(problem: Problem, z: Array, robot: Index, noise: Noise) -> Candidates:
     )
 
 
+def restart(problem: Problem, candidates: Candidates, noise: Noise) -> None:
+    """Take over other starts of the windows, and another noise."""
+    candidates.residuals = [r for part in problem.in_parts(candidates.z, candidates.robot) for r in part]
+    reweigh(candidates, noise)
+
+
 def reweigh(candidates: Candidates, noise: Noise) -> None:
     """Take over a new residual covariance."""
-    candidates.cost = _costs(candidates.residuals, candidates.z, noise)
+    candidates.cost = _costs(candidates.residuals, candidates.robot, candidates.z, noise)
     candidates.done[:] = False
     candidates.damping[:] = np.minimum(candidates.damping, 1e-2)
 
@@ -107,7 +113,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
         flat = trials.reshape(-1, d)
         residuals = [r for part in problem.in_parts(flat, np.repeat(c.robot[active], 3)) for r in part]
-        costs = _costs(residuals, flat, noise).reshape(-1, 3)
+        costs = _costs(residuals, np.repeat(c.robot[active], 3), flat, noise).reshape(-1, 3)
         best = costs.argmin(1)
         # what the undamped quadratic model still promises, in cost
         newton = np.linalg.solve(c.information[active] + ridge, gradient[..., None])[..., 0]
@@ -142,12 +148,11 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
     ahead = _slopes(problem, c, which, STEP)
     behind = _slopes(problem, c, which, -STEP) if careful else ahead
     for i, k in enumerate(which):
-        white = c.residuals[k] @ noise.whitener
-        # the weights of this place in iteratively reweighted least squares
-        root = np.sqrt(noise.weight((white**2).sum(1)))[:, None]
-        white = (white * root).ravel()
         slope = np.where(np.abs(ahead[i]) < np.abs(behind[i]), ahead[i], behind[i])
-        columns = (slope @ noise.whitener * root).reshape(d, -1).T
+        white = noise.whiten(int(c.robot[k]), np.concatenate([c.residuals[k][None], slope]))
+        # the weights of this place in iteratively reweighted least squares
+        white *= np.sqrt(noise.scatter.weight((white[:1] ** 2).sum(2, keepdims=True)))
+        columns, white = white[1:].reshape(d, -1).T, white[0].ravel()
         sound = np.isfinite(columns).all(1) & np.isfinite(white)
         columns, white = columns[sound], white[sound]
         share = expit(c.z[k])
@@ -166,6 +171,6 @@ def _slopes(problem: Problem, c: Candidates, which: Index, step: float) -> list[
     return [(np.stack(there[i * d : (i + 1) * d]) - c.residuals[k]) / step for i, k in enumerate(which)]
 
 
-def _costs(residuals: list[Array], z: Array, noise: Noise) -> Array:
+def _costs(residuals: list[Array], robot: Index, z: Array, noise: Noise) -> Array:
     prior = (log_expit(z) + log_expit(-z)).sum(1)
-    return np.array([noise.total(r) for r in residuals]) - 2 * prior
+    return noise.totals(robot, residuals) - 2 * prior

@@ -1,4 +1,4 @@
-"""The distribution of the residuals, learned from what the best parameters leave unexplained."""
+"""The distribution of the residuals: errors of the measured states, and what the simulation itself lacks."""
 
 from __future__ import annotations
 
@@ -7,93 +7,128 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
+from scipy.stats import chi2
+
+from nfpde.estimation.trajectory.chains import Chains, Factor
+from nfpde.estimation.trajectory.student import GAUSSIAN
+from nfpde.sim import Whitening
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
-DIVERGED = 1e30
-"""Squared white residual of a window whose simulation diverged, and the most there is: worse than any that did not."""
 
-_DEGREES = np.array([2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e6])
-"""Degrees of freedom tried; the last is a Gaussian."""
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """What all windows share: sizes of the errors, in the units of the problem.
+
+    sensor: variance of the error of a measured state; empty while none is told from the rest    (ndiff,)
+    process: covariance of what a window's simulation lacks                (C, C)
+    degrees: degrees of freedom of the innovations; `GAUSSIAN` is a Gaussian
+    scale: of the innovations' covariance
+    """
+
+    sensor: Array
+    process: Array
+    degrees: float = GAUSSIAN
+    scale: float = 1.0
+
+    @classmethod
+    def white(cls, channels: int) -> Scatter:
+        """Before anything is known: every channel of a residual has variance one."""
+        return cls(np.zeros(0), np.eye(channels))
+
+    def weight(self, squares: Array) -> Array:
+        """What a window counts in least squares: one in a Gaussian, little far out in the tails."""
+        return (self.degrees + len(self.process)) / (self.degrees + squares)
+
+    def gain_weight(self, squares: Array) -> Array:
+        """What windows tell of the next ones, by the squares of their innovations (N,), not yet over the scale.
+
+        All of it, but for those that are larger than the largest of N Gaussian ones is in a hundred recordings: they
+        are something else than an error of the state between the two. One that diverged (NaN) tells nothing.
+        """
+        m = squares / self.scale
+        usual = chi2.isf(0.01 / max(len(m), 1), len(self.process))
+        return np.where(np.isfinite(m), np.where(m <= usual, 1.0, self.weight(m)), 0.0)
+
+    def covariances(self, slopes: Array) -> tuple[Array, Array]:
+        """Covariance of every window (N, C, C), and of it with its start's error, negative: (N, C, ndiff).
+
+        Args:
+            slopes: derivative G of a window's end by its start            (N, C, ndiff)
+        """
+        spread = slopes * self.sensor
+        channels, ndiff = slopes.shape[1:]
+        ends = np.diag(np.tile(self.sensor, channels // ndiff))
+        return spread @ slopes.swapaxes(1, 2) + ends + self.process, -spread
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """A window's residual r (C,) is multivariate Student t with scatter S: heavy tails where contacts amplify noise.
+    """The residuals given a parameter vector: innovations that are multivariate Student t, one a window.
 
-    Reference: Lange, Little, Taylor, Robust statistical modeling using the t distribution, JASA 1989.
+    Reference: Lange, Little, Taylor, Robust statistical modeling using the t distribution, JASA 1989, for the tails;
+    the innovations are those of Kalman's filter for the errors of the measured states.
 
-    whitener: W with W W' = inverse of S                                   (C, C)
-    degrees: degrees of freedom; 1e6 is a Gaussian
+    scatter: what all windows share
+    whitening: what turns residuals into white innovations
+    members: indices of each robot's windows                               G arrays
     """
 
-    whitener: Array
-    degrees: float
+    scatter: Scatter
+    whitening: Whitening
+    members: Sequence[Index]
+
+    @classmethod
+    def alike(cls, scatter: Scatter, members: Sequence[Index]) -> Noise:
+        """All windows alike and independent: errors of the states counted as the simulation's."""
+        white = np.asarray(np.linalg.inv(np.linalg.cholesky(scatter.scale * scatter.process)), np.float64)[None]
+        alone = np.zeros(sum(len(m) for m in members), bool)
+        return cls(scatter, Whitening(white, np.zeros(white.shape), alone, scatter.degrees), members)
+
+    @classmethod
+    def of(cls, scatter: Scatter, slopes: Array, chains: Chains, weights: Array, members: Sequence[Index]) -> Noise:
+        """Windows that share the errors of the states between them.
+
+        Args:
+            scatter: what all windows share.
+            slopes: derivative of every window's end by its start          (N, C, ndiff)
+            chains: which window follows which.
+            weights: what a window tells of the next one                   (N,)
+            members: indices of each robot's windows                       G arrays
+        """
+        factor = Factor.of(chains, *scatter.covariances(slopes), weights)
+        lower = np.linalg.cholesky(scatter.scale * factor.spread)
+        own = np.asarray(np.linalg.inv(lower), np.float64)
+        carry = np.zeros(own.shape)
+        after = np.flatnonzero(chains.linked)
+        carry[after] = own[after] @ factor.gain[after] @ lower[after - 1]
+        return cls(scatter, Whitening(own, carry, chains.linked, scatter.degrees), members)
 
     @property
     def log_scale(self) -> float:
-        """Half the log determinant of S per channel: the log of a typical residual."""
-        return -float(np.linalg.slogdet(self.whitener)[1]) / len(self.whitener)
+        """Half the log determinant of an innovation's covariance per channel: the log of a typical residual."""
+        logs = np.linalg.slogdet(self.whitening.own)[1]
+        return -float(logs.mean()) / self.whitening.channels
 
-    def cost(self, squares: Array) -> Array:
-        """Twice the negative log density, up to a constant, of squared white residuals m = |r W|^2 (...)."""
-        return (self.degrees + len(self.whitener)) * np.log1p(squares / self.degrees)
+    @property
+    def alone(self) -> Array:
+        """W (C, C) with W W' the mean inverse covariance of an innovation: what a moment's slopes count on average."""
+        own = self.whitening.own
+        return np.linalg.cholesky(np.einsum("nki,nkj->ij", own, own) / len(own))
 
-    def total(self, residuals: Array) -> float:
-        """Cost of a whole recording (n, C); a window that diverged (NaN) costs `DIVERGED`."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = ((residuals @ self.whitener) ** 2).sum(1)
-        return float(self.cost(np.where(squares < DIVERGED, squares, DIVERGED)).sum())
+    def whiten(self, robot: int, residuals: Array) -> Array:
+        """White innovations of a robot's residuals, or of their slopes: (..., n, C) to (..., n, C)."""
+        return self.whitening.along(self.members[robot], residuals)
 
-    def weight(self, squares: Array) -> Array:
-        """What a window counts in least squares: one in a Gaussian, little far out in the tails."""
-        return (self.degrees + len(self.whitener)) / (self.degrees + squares)
+    def totals(self, robots: Index, residuals: Sequence[Array]) -> Array:
+        """Twice the negative log likelihood, up to a constant, of recordings of robots[k]: K arrays (n_k, C) to (K,).
 
-
-def learn_noise(residuals: Sequence[Array], fitted: int, floor: Array) -> Noise:
-    """Maximum-likelihood noise of the residuals of all robots at their best parameters.
-
-    Sensor noise in a window's start spreads over the channels of its end, so the scatter is a full matrix where there
-    are enough windows to estimate one; otherwise its diagonal. It is corrected for the degrees of freedom that the fit
-    has used up.
-
-    Args:
-        residuals: (n_g, C) for every robot; windows that diverged (NaN) are left out.
-        fitted: number of parameters fitted to them.
-        floor: standard deviation below which no channel is believed, (C,).
-
-    Returns:
-        The noise.
-    """
-    r = np.concatenate(residuals)
-    r = r[np.isfinite(r).all(1)] / floor
-    n, channels = r.shape
-    left = max(n - fitted / channels, 0.1 * n)
-    best: tuple[float, Noise] | None = None
-    for degrees in _DEGREES:
-        whitener, score = _scatter(r, float(degrees), n / left, full=n >= 5 * channels)
-        if best is None or score > best[0]:
-            best = score, Noise(whitener / floor[:, None], float(degrees))
-    if best is None:
-        raise RuntimeError("no degrees of freedom were tried")
-    return best[1]
-
-
-def _scatter(r: Array, degrees: float, inflation: float, *, full: bool) -> tuple[Array, float]:
-    """Whitening matrix of r (n, C) by EM at given degrees of freedom, and the mean log density [nats]."""
-    n, channels = r.shape
-    weights = np.ones(n)
-    whitener, squares = np.eye(channels), np.zeros(n)
-    for _ in range(30):
-        scatter = inflation * (r.T * weights) @ r / n
-        values, vectors = np.linalg.eigh(scatter if full else np.diag(np.diag(scatter)))
-        whitener = vectors / np.sqrt(np.maximum(values, 1.0))
-        squares = ((r @ whitener) ** 2).sum(1)
-        updated = (degrees + channels) / (degrees + squares)
-        if np.abs(updated - weights).max() < 1e-3:
-            break
-        weights = updated
-    constant = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
-    density = constant + np.linalg.slogdet(whitener)[1] - 0.5 * (degrees + channels) * np.log1p(squares / degrees)
-    return whitener, float(density.mean())
+        A window that diverged (NaN) costs what no other does.
+        """
+        found = np.empty(len(residuals))
+        for g in np.unique(robots):
+            own = np.flatnonzero(robots == g).tolist()
+            white = self.whiten(int(g), np.stack([residuals[k] for k in own]))
+            found[own] = self.whitening.cost(white).sum(1)
+        return found

@@ -57,9 +57,9 @@ class Pool:
         fresh = np.stack([np.clip(p.sample(draws, rng), -FARTHEST, FARTHEST) for p in proposals])
         robots, _, d = fresh.shape
         owner = np.repeat(np.arange(robots), draws)
-        cost = np.concatenate(
-            [[noise.total(r) for r in residuals] for residuals in problem.in_parts(fresh.reshape(-1, d), owner)]
-        )
+        xi = problem.simulator.space.to_physical(fresh.reshape(-1, d))
+        parts = problem.parts(owner)
+        cost = np.concatenate([problem.costs(xi[p], owner[p], noise.whitening) for p in parts])
         log_likelihood = -0.5 * cost.reshape(robots, draws)
         self.z = np.concatenate([self.z, fresh], axis=1)
         self.log_likelihood = np.concatenate([self.log_likelihood, log_likelihood], axis=1)

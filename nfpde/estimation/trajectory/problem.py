@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset, BadInput
 from nfpde.losses import increment_scale
-from nfpde.sim import Simulator
+from nfpde.sim import Simulator, Whitening
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -27,12 +27,13 @@ NUMBERS_AT_ONCE = 1 << 23
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Windows sorted by robot, and their residuals in units of how much each channel changes over a window.
+    """N windows, robot after robot, and their residuals in units of how much each channel changes over a window.
 
     names: label of every robot                                          (G,)
     members: indices of each robot's windows                             G arrays
     unit: what a residual of 1 stands for in each channel                (C,)
     floor: residual below which no channel is believed, in units         (C,)
+    grain: error of a measured state below which no channel is believed, in units    (ndiff,)
     """
 
     simulator: Simulator
@@ -41,11 +42,18 @@ class Problem:
     members: tuple[Index, ...]
     unit: Array
     floor: Array
+    grain: Array
 
     @property
     def channels(self) -> int:
         """Numbers in a window's residual, C = H x ndiff."""
         return len(self.unit)
+
+    @property
+    def linked(self) -> NDArray[np.bool_]:
+        """Whether a window starts from the state at which the one before it ends, (N,)."""
+        w = self.windows
+        return np.append(False, (np.diff(w.episode) == 0) & (np.diff(w.row) == w.horizon))
 
     def residuals(self, xi: Array, robot: Sequence[int] | Index) -> list[Array]:
         """Predicted minus measured, scaled: vectors (K, D), vector k on all windows of robot[k], to K arrays (n_k, C).
@@ -57,6 +65,25 @@ class Problem:
         window = np.concatenate([self.members[g] for g in robot])
         rows = self.simulator.residuals(xi, self.windows, vector, window, self.unit)
         return np.split(rows, np.cumsum(counts)[:-1])
+
+    def costs(self, xi: Array, robot: Index, whitening: Whitening) -> Array:
+        """Twice the negative log likelihood of vector k (K, D) on all windows of robot[k], up to a constant, (K,)."""
+        vector = np.repeat(np.arange(len(xi)), [len(self.members[g]) for g in robot])
+        window = np.concatenate([self.members[g] for g in robot])
+        return self.simulator.costs(xi, self.windows, vector, window, self.unit, whitening)
+
+    def started_from(self, errors: Array) -> Problem:
+        """The same windows, started from their states less errors of these (N, ndiff) in units."""
+        states, state = self.simulator.states, self.windows.state.copy()
+        state[:, 0] = states.moved(state[:, 0], -errors * self.unit[: states.ndiff])
+        return replace(self, windows=replace(self.windows, state=state))
+
+    def grown_by(self, change: Array) -> Problem:
+        """The same windows, their measured ends moved so that the residuals grow by `change` (N, C) in units."""
+        states, state = self.simulator.states, self.windows.state.copy()
+        step = -(change * self.unit).reshape(len(state), -1, states.ndiff)
+        state[:, 1:] = states.moved(state[:, 1:], step)
+        return replace(self, windows=replace(self.windows, state=state))
 
     def in_parts(self, z: Array, robot: Index) -> Iterator[list[Array]]:
         """`residuals` of unconstrained vectors z (K, D), a part at a time, so that memory stays bounded."""
@@ -88,16 +115,19 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
     labels = [e.robot if e.robot is not None else f"episode {e.name}" for e in dataset]
     names = tuple(dict.fromkeys(labels))
     owner = np.array([names.index(label) for label in labels])[windows.episode]
+    order = np.argsort(owner, kind="stable")
+    windows, owner = windows[order], owner[order]
     members = tuple(np.flatnonzero(owner == g) for g in range(len(names)))
     short = [name for name, m in zip(names, members, strict=True) if not len(m)]
     if short:
         raise BadDataset(f"{short[0]} has no window of {horizon} control steps; shorten the horizon or leave it out")
     unit = np.tile(increment_scale(simulator.states, windows), horizon)
     floor = np.full(len(unit), PRECISION)
+    grain = np.zeros(simulator.states.ndiff)
     if resolution is not None:
         # rounding to steps of r leaves errors that are uniform over a step: a standard deviation of r / sqrt(12)
-        floor = np.maximum(floor, np.tile(_steps(simulator, resolution), horizon) / np.sqrt(12.0) / unit)
-    return Problem(simulator, windows, names, members, unit, floor)
+        grain = _steps(simulator, resolution) / np.sqrt(12.0) / unit[: len(grain)]
+    return Problem(simulator, windows, names, members, unit, floor, grain)
 
 
 def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:

@@ -5,21 +5,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.estimation.trajectory.noise import Scatter
 from nfpde.estimation.trajectory.problem import Problem
 
 Array = NDArray[np.float64]
 
 
-def channel_errors(problem: Problem, best: Array) -> tuple[dict[str, dict[str, float]], list[int]]:
+def channel_errors(problem: Problem, best: Array, scatter: Scatter) -> tuple[dict[str, dict[str, float]], list[int]]:
     """Root mean square residual of every channel at the end of a window, in the recorded units.
 
     Args:
         problem: windows sorted by robot.
         best: parameters of every robot, z, (G, D).
+        scatter: the learned noise.
 
     Returns:
         For each channel `before` (every parameter in the middle of its bounds) and `after`, without the windows that
-        diverged; and the number of windows of each robot that diverge at its best parameters.
+        diverged, and what the errors after the fit are put down to, as standard deviations: `sensor`, the error of a
+        measured state, and `simulation`, what the simulation lacks at the end of a window; and the number of windows
+        of each robot that diverge at its best parameters.
     """
     robots = np.arange(len(best))
     ndiff = problem.simulator.states.ndiff
@@ -35,5 +39,7 @@ def channel_errors(problem: Problem, best: Array) -> tuple[dict[str, dict[str, f
                 count += int(sound.sum())
                 diverged.append(int((~sound).sum()))
         errors[name] = np.sqrt(squares / max(count, 1))
-    channels = problem.simulator.states.channels
+    channels, unit = problem.simulator.states.channels, problem.unit[-ndiff:]
+    errors["sensor"] = np.sqrt(scatter.scale * scatter.sensor) * unit
+    errors["simulation"] = np.sqrt(scatter.scale * np.diag(scatter.process)[-ndiff:]) * unit
     return {c: {k: float(v[i]) for k, v in errors.items()} for i, c in enumerate(channels)}, diverged

@@ -78,4 +78,5 @@ class TwoStages:
             self.together.restore(tensors, info["together"])
 
     def _gather(self) -> PopulationEstimator:
-        return PopulationEstimator(self.problem, self.alone.noise, self.alone.posteriors(), self.config, self.seed)
+        alone = self.alone
+        return PopulationEstimator(alone.problem, alone.noise, alone.posteriors(), self.config, self.seed)

@@ -1,0 +1,104 @@
+"""Steps towards the likeliest sizes of the errors of states and of the simulation, and along the way there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.estimation.trajectory.chains import Chains, Factor
+from nfpde.estimation.trajectory.noise import Scatter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A scatter with what one pass over the windows finds with it.
+
+    score: log likelihood [nats]
+    weights: what every window tells of the next one                       (N,)
+    innovations: of the residuals                                          (N, C)
+    """
+
+    scatter: Scatter
+    score: float
+    weights: Array
+    factor: Factor
+    innovations: Array
+
+
+def rescaled(best: Judged, slopes: Array, inflation: float, *, full: bool) -> Scatter:
+    """One step of the MM algorithm.
+
+    Args:
+        best: where from.
+        slopes: derivative of every window's end by its start            (N, C, ndiff)
+        inflation: of the squares, for the degrees of freedom that a fit has used up.
+        full: whether the errors of the simulation have a full covariance, or a diagonal one.
+    """
+    scatter, chains, ndiff = best.scatter, best.factor.chains, slopes.shape[2]
+    u, diagonal, below = best.factor.solve(best.innovations, best.weights)
+    shown = inflation * np.einsum("ni,nj->ij", u, u)
+    expected = diagonal.sum(0)
+    # errors of states: those at which a window starts, linked to the one before or not, and those at which none starts
+    first, wide = at_starts(chains, u, diagonal, below, slopes)
+    ends = u.reshape(len(u), -1, ndiff)
+    spread = np.einsum("ncc->nc", diagonal).reshape(ends.shape)
+    free = np.ones(ends.shape[:2], bool)
+    free[chains.followed, -1] = False
+    shown_sensor = inflation * ((first**2).sum(0) + (ends[free] ** 2).sum(0))
+    expected_sensor = wide.sum(0) + spread[free].sum(0)
+    sensor = scatter.sensor * np.sqrt(shown_sensor / np.maximum(expected_sensor, 1e-300))
+    process = _riccati(scatter.process, shown, expected) if full else _diagonal(scatter.process, shown, expected)
+    return replace(scatter, sensor=sensor, process=process)
+
+
+def extrapolated(old: Scatter, new: Scatter, stride: int, floors: tuple[Array, Array]) -> Scatter:
+    """`stride` steps in the direction from `old` to `new` along the geodesic of covariances, a hundredfold at most."""
+    ratio = np.clip((new.sensor / np.maximum(old.sensor, 1e-300)) ** stride, 0.01, 100.0)
+    lower = np.linalg.cholesky(old.process)
+    half = np.linalg.solve(lower, np.linalg.solve(lower, new.process).T)
+    values, vectors = np.linalg.eigh(0.5 * (half + half.T))
+    root = lower @ vectors * np.sqrt(np.clip(np.maximum(values, 0.0) ** stride, 0.01, 100.0))
+    sensor = np.maximum(old.sensor * ratio, floors[0] ** 2)
+    return replace(new, sensor=sensor, process=at_least(root @ root.T, floors[1]))
+
+
+def at_starts(chains: Chains, u: Array, diagonal: Array, below: Array, slopes: Array) -> tuple[Array, Array]:
+    """What the residuals show of the error of each window's start, and how much they can show of it: (N, ndiff) twice.
+
+    Multiplied by the error's variance they are its mean and the share of the variance that the recording takes away.
+    """
+    ndiff = slopes.shape[2]
+    first = np.einsum("ncd,nc->nd", slopes, u)
+    wide = np.einsum("ncd,nce,ned->nd", slopes, diagonal, slopes, optimize=True)
+    after = np.flatnonzero(chains.linked)
+    first[after] -= u[after - 1, -ndiff:]
+    wide[after] += np.einsum("ndd->nd", diagonal[after - 1, -ndiff:, -ndiff:])
+    wide[after] -= 2 * np.einsum("ncd,ncd->nd", slopes[after], below[after][:, :, -ndiff:])
+    return first, wide
+
+
+def _riccati(process: Array, shown: Array, expected: Array) -> Array:
+    """X with X expected X = process shown process, positive definite: the MM step of a full covariance."""
+    size = np.sqrt(np.diag(process))
+    q, target, weight = (process / np.outer(size, size), *(m * np.outer(size, size) for m in (shown, expected)))
+    lower = np.linalg.cholesky(weight + 1e-14 * np.trace(weight) / len(weight) * np.eye(len(weight)))
+    values, vectors = np.linalg.eigh(lower.T @ q @ target @ q @ lower)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    half = np.linalg.solve(lower.T, root)
+    found = np.linalg.solve(lower.T, half.T)
+    return 0.5 * (found + found.T) * np.outer(size, size)
+
+
+def _diagonal(process: Array, shown: Array, expected: Array) -> Array:
+    return np.diag(np.diag(process) * np.sqrt(np.diag(shown) / np.maximum(np.diag(expected), 1e-300)))
+
+
+def at_least(covariance: Array, floor: Array) -> Array:
+    """The covariance with no direction below the floor's variance."""
+    scaled = covariance / np.outer(floor, floor)
+    values, vectors = np.linalg.eigh(scaled)
+    return (vectors * np.maximum(values, 1.0)) @ vectors.T * np.outer(floor, floor)
