@@ -24,7 +24,7 @@ class DataScales:
     position: distance from the mean position of each degree of freedom (nv,)
     speed: of each degree of freedom (nv,)
     acceleration: of each degree of freedom (nv,)
-    force: generalized force behind the recorded motion, by inverse dynamics (nv,)
+    force: generalized force behind the recorded motion (nv,); see `_force`
     ctrl: distance of each command from zero (nu,)
     ctrl_spread: distance of each command from its mean (nu,)
     actuator_force: of each actuator, before its gear (nu,)
@@ -51,6 +51,7 @@ class DataScales:
         """
         data = mujoco.MjData(model)
         positions, speeds, accelerations, forces, commands, drives = [], [], [], [], [], []
+        driven, touching = [], []
         stride = max(1, sum(len(e) - 1 for e in dataset) // _ROWS)
         zero = model.qpos0
         for episode in dataset:
@@ -63,8 +64,10 @@ class DataScales:
                 accelerations.append(data.qacc.copy())
                 mujoco.mj_inverse(model, data)
                 forces.append(data.qfrc_inverse.copy())
+                touching.append(data.ncon > 0)
                 mujoco.mj_fwdActuation(model, data)
                 drives.append(data.actuator_force.copy())
+                driven.append(data.qfrc_actuator.copy())
                 away = np.zeros(model.nv)
                 mujoco.mj_differentiatePos(model, away, 1.0, zero, episode.qpos[row])
                 positions.append(away)
@@ -74,12 +77,32 @@ class DataScales:
             position=_positive(np.std(positions, axis=0)),
             speed=_positive(_rms(np.concatenate(speeds))),
             acceleration=_positive(_rms(np.array(accelerations))),
-            force=_positive(_rms(np.array(forces))),
+            force=_positive(_force(np.array(forces), np.array(driven), np.array(touching))),
             ctrl=_positive(_rms(ctrl)),
             ctrl_spread=_positive(ctrl.std(0)),
             actuator_force=_positive(_rms(np.array(drives))),
             length=_size(model),
         )
+
+
+def _force(inverse: Array, driven: Array, touching: NDArray[np.bool_]) -> Array:
+    """Typical generalized force of every degree of freedom, (nv,), by inverse dynamics, where that can be believed.
+
+    A contact is stiff: half a millimetre of error in a measured height makes it push with many times the robot's
+    weight. Where recordings have contacts, rows without one count, if there are enough of them, and no joint that has a
+    drive is moved by much more than its drive.
+
+    Args:
+        inverse: by inverse dynamics, (rows, nv).
+        driven: of the drives, (rows, nv).
+        touching: whether anything touches, (rows,).
+    """
+    if not touching.any():
+        return _rms(inverse)
+    free = np.flatnonzero(~touching)
+    believed = _rms(inverse[free] if len(free) >= 0.1 * len(inverse) else inverse)
+    drive = _rms(driven)
+    return np.where(drive > 0, np.minimum(believed, drive), believed)
 
 
 def _size(model: mujoco.MjModel) -> float:
