@@ -113,9 +113,10 @@ def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Arra
     first = start.residuals(guesses[:1], recordings.fit, recordings.horizons)[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
-    for _ in range(2):
-        court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
-        fit = court.settle(fit, rounds=1, iterations=5)
+    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
+    fit = court.settle(fit, rounds=1, iterations=5)
+    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
+    fit = court.settle(fit, rounds=1, iterations=5)
     if rugged and start.nfree:
         some, part = court.screening(fit)
         found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)

@@ -91,7 +91,8 @@ def _gather(
 ) -> Fit:
     """Rounds of samples, from one place on; `place` makes free parameters (S, D) of coordinates (S, k)."""
     size, total = len(middle), ROUNDS * samples
-    draws = norm.ppf(qmc.Sobol(size, seed=seed).random(1 << (total - 1).bit_length())[:total])
+    sobol = qmc.Sobol(size, seed=seed)  # pyright: ignore[reportCallIssue]  (its stubs know the newer name alone)
+    draws = norm.ppf(sobol.random(1 << (total - 1).bit_length())[:total])
     at, widths = middle[None], np.full(size, width)
     cost = np.array([spread(fitter.residuals_at(replay, place(at))[0], scatter.floor)])
     for part in draws.reshape(ROUNDS, samples, size):
