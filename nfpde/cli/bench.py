@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from nfpde.cli.models import DEVICE_HELP
-from nfpde.sim import Device
+from nfpde.sim import Device, found_device
 
 app = typer.Typer(help="Benchmarks of the package; each prints a table and writes it as Markdown and JSON.")
 
@@ -117,4 +117,4 @@ def gap(
         folder = folder or Path("runs") / f"gap-{seed}"
         bench.draw_only(seed, folder / "systems", folder / "keys", cases=bench.QUICK_CASES if quick else cases)
         return
-    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=device)
+    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=found_device(device))

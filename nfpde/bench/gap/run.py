@@ -22,7 +22,6 @@ from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
 from nfpde.errors import BadInput
 from nfpde.progress import progress
-from nfpde.sim import Device, found_device
 from nfpde.storage import finite, write_whole
 
 DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
@@ -40,7 +39,7 @@ def run(
     limit: float = 300.0,
     folder: Path | None = None,
     command: Sequence[str] = DIAGNOSE,
-    device: Device = "auto",
+    device: str = "auto",
 ) -> list[Row]:
     """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
 
@@ -63,7 +62,6 @@ def run(
     """
     _check(cases, jobs, limit)
     command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
-    device = found_device(device)
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
     folder.mkdir(parents=True, exist_ok=True)
@@ -136,7 +134,7 @@ def _check_kept(folder: Path, settings: dict[str, Any]) -> None:
     write_whole(path, json.dumps(plain))
 
 
-def _facts(seed: int, cases: int, limit: float, quick: bool, device: Device) -> dict[str, Any]:
+def _facts(seed: int, cases: int, limit: float, quick: bool, device: str) -> dict[str, Any]:
     options = (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
     return {
         "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}",
