@@ -28,6 +28,9 @@ DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
 
 QUICK_CASES = 12
 
+DEVICES = ("auto", "cpu", "cuda", "warp-cpu")
+"""Where a diagnosis may simulate."""
+
 
 def run(
     seed: int,
@@ -62,6 +65,9 @@ def run(
     """
     _check(cases, jobs, limit)
     command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
+    if device not in DEVICES:
+        raise BadInput(f"device is {device!r}; it must be one of {', '.join(DEVICES)}")
+    device = "cpu" if device == "auto" else device
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
     folder.mkdir(parents=True, exist_ok=True)
