@@ -66,7 +66,7 @@ def run(
     _check(cases, jobs, limit)
     command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
     if device not in DEVICES:
-        raise BadInput(f"device is {device!r}; it must be one of {', '.join(DEVICES)}")
+        raise BadInput(f"there is no device {device!r}; there are: {', '.join(DEVICES)}")
     device = "cpu" if device == "auto" else device
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
