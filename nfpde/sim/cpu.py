@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -17,9 +16,10 @@ from nfpde.effects import Effect, effects_in
 from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import BoundEffects
+from nfpde.sim.alike import ModelSource, load_models, refuse_unlike_effects
 from nfpde.sim.fields import get_field
 from nfpde.sim.matching import match_dataset
-from nfpde.sim.model import load_model, model_hash
+from nfpde.sim.model import model_hash
 from nfpde.sim.probe import refuse_inert
 from nfpde.sim.quiet import quiet_mujoco
 from nfpde.sim.simulator import Array, Simulator, rows_at_once
@@ -31,7 +31,11 @@ class MujocoSimulator(Simulator):
     """MuJoCo on the CPU (`mujoco.batch`): every row of a call is one simulation, all of them side by side.
 
     Args:
-        model: path of an MJCF or URDF file, or a compiled mjModel; see `load_model` for what is changed in it.
+        model: path of an MJCF or URDF file, or a compiled mjModel; see `load_model` for what is changed in it. Or
+            several in a list, of one size: same tree, types, names of joints and actuators, command ranges and
+            options that are no real numbers; masses, places, lengths, gains and other real numbers may differ. The
+            parameter `Parameter("model", low=0, high=<how many>)` then says which of them a simulation is of: model k
+            holds the values from k up to k + 1.
         space: the parameters. Parameters of effects (`coulomb_friction.torque`) may be among them, as they are in
             the space of a saved distribution; None where only effects are unknown.
         effects: physics the model lacks; their parameters are appended to the space.
@@ -45,21 +49,23 @@ class MujocoSimulator(Simulator):
 
     def __init__(
         self,
-        model: str | Path | mujoco.MjModel,
+        model: ModelSource | Sequence[ModelSource],
         space: ParameterSpace | None = None,
         effects: Sequence[Effect] = (),
         *,
         nthread: int = 0,
         check_influence: bool = True,
     ) -> None:
-        self.model = load_model(model)
+        self.models = load_models(model)
+        self.model = self.models[0]
         base, inside = _split(space)
         if base is None and not inside and not effects:
             raise BadParameter("give a parameter space or at least one effect; there is nothing to estimate")
         self.effects = [e.bind(self.model) for e in [*inside, *effects]]
+        refuse_unlike_effects(self.effects, self.models)
         self.space = ParameterSpace([*(base or ()), *(p for e in self.effects for p in e.parameters)])
         self.states = StateSpace.of_model(self.model)
-        self.writer = ModelWriter(self.model, base, self.effects)
+        self.writer = ModelWriter(self.models, base, self.effects)
         self.nthread = nthread or len(os.sched_getaffinity(0))
         self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
         self.memory_time = self._bound.memory_time
@@ -91,13 +97,14 @@ class MujocoSimulator(Simulator):
         return match_dataset(self.model, self.states, dataset)
 
     def nominal(self) -> Array:
-        """The model's own parameters, and neutral ones of the effects, (D,); NaN where elements differ."""
+        """The model's own parameters, and neutral ones of the effects, (D,); NaN where elements or models differ."""
         neutral = [q.neutral for e in self.effects for q in e.quantities]
         return np.concatenate([self.writer.nominal_values(), neutral])
 
     def identity(self) -> dict[str, Any]:
-        """The model's fingerprint and MuJoCo's version; the effects are in the space."""
-        return {**super().identity(), "model": model_hash(self.model), "mujoco": mujoco.__version__}
+        """The model's fingerprint, or those of several, and MuJoCo's version; the effects are in the space."""
+        prints = [model_hash(m) for m in self.models]
+        return {**super().identity(), "model": prints if prints[1:] else prints[0], "mujoco": mujoco.__version__}
 
     def substeps(self, control_dt: float) -> int:
         """Physics steps in a control step of control_dt [s].

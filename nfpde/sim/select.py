@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
@@ -13,6 +12,7 @@ import mujoco
 from nfpde.effects import Effect
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
+from nfpde.sim.alike import ModelSource
 from nfpde.sim.cpu import MujocoSimulator
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ Device = Literal["auto", "cpu", "cuda", "warp-cpu"]
 
 
 def make_simulator(
-    model: str | Path | mujoco.MjModel,
+    model: ModelSource | Sequence[ModelSource],
     space: ParameterSpace | None = None,
     effects: Sequence[Effect] = (),
     *,
@@ -34,7 +34,7 @@ def make_simulator(
     """The simulator of a model on a device.
 
     Args:
-        model: see `MujocoSimulator`.
+        model: see `MujocoSimulator`; several in a list run in one batch on every device.
         space: see `MujocoSimulator`.
         effects: see `MujocoSimulator`.
         device: `auto` is `cuda` if Warp finds a CUDA device, else `cpu`. What a device cannot run is an error, never
@@ -46,6 +46,10 @@ def make_simulator(
         BadInput: no such device, or no CUDA device.
         BadModel, BadEffect: what MuJoCo Warp does not support; the text says what to change.
         BadParameter: see `MujocoSimulator`.
+
+    Example:
+        Two builds of an arm, and recordings that do not say which of them made them:
+        `make_simulator(["arm_a.xml", "arm_b.xml"], ParameterSpace([Parameter("model", low=0, high=2), ...]))`
     """
     device = found_device(device)
     if device == "cpu" or device == "auto":

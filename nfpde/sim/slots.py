@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nfpde.effects import effect_names
 from nfpde.elements import actuator_ctrls, element_ids, element_names, joint_dofs, joint_qpos
 from nfpde.errors import BadParameter
-from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.parameters import Parameter
 from nfpde.sim.fields import array_fields, get_field
 
 Array = NDArray[np.float64]
@@ -30,7 +30,8 @@ _KIND_OF_PREFIX = {
     "actuator": "actuator",
     "eq": "equality",
 }
-_DERIVED = ("M0", "invweight0", "subtreemass", "acc0", "length0", "lengthrange", "rbound", "aabb", "sameframe")
+DERIVED = ("M0", "invweight0", "subtreemass", "acc0", "length0", "lengthrange", "rbound", "aabb", "sameframe")
+"""Endings of fields that MuJoCo computes from others."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ class Slot:
     inertia: Array | None = None
 
 
-def slots_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Slot]:
-    """Where each parameter of a space is written, in order.
+def slots_of(model: mujoco.MjModel, parameters: Iterable[Parameter]) -> list[Slot]:
+    """Where each parameter is written, in order.
 
     Raises:
         BadParameter: a field or element the model lacks, or two parameters that write one number.
     """
-    slots = [_option(model, p) if p.field.startswith("opt.") else _elements(model, p) for p in space or ()]
+    slots = [_option(model, p) if p.field.startswith("opt.") else _elements(model, p) for p in parameters]
     _refuse_overlap(slots)
     return slots
 
@@ -113,7 +114,7 @@ def _field_of_elements(model: mujoco.MjModel, p: Parameter, kind: str) -> NDArra
         names = sorted(close) or effect_names()
         hint = f"{'fields of that family' if close else 'or an effect'}: {', '.join(names)}"
         raise BadParameter(f"{p.name}: {p.field!r} is no real-valued mjModel field of an element; {hint}")
-    if p.field.endswith(_DERIVED):
+    if p.field.endswith(DERIVED):
         raise BadParameter(f"{p.name}: MuJoCo derives {p.field} from other fields; vary those")
     return array
 

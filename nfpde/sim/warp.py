@@ -6,10 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise, product
-from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +16,7 @@ from nfpde.dataset import Dataset, Windows
 from nfpde.effects import Effect
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import ParameterSpace
+from nfpde.sim.alike import ModelSource
 from nfpde.sim.cpu import MujocoSimulator
 from nfpde.sim.simulator import Array, Simulator, check_rows
 from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes, WarpBatch
@@ -55,7 +54,8 @@ class WarpSimulator(Simulator):
     in double precision.
 
     Args:
-        model: path of an MJCF or URDF file, or a compiled mjModel; see `load_model` for what is changed in it.
+        model: one or several in a list, see `MujocoSimulator`; the fields in which several differ have rows of their
+            own, like those that parameters change.
         space: the parameters; see `MujocoSimulator`.
         effects: physics the model lacks; their parameters are appended to the space.
         device: `cuda`, or `warp-cpu` for tests: the same code, slower than `MujocoSimulator`.
@@ -70,7 +70,7 @@ class WarpSimulator(Simulator):
 
     def __init__(
         self,
-        model: str | Path | mujoco.MjModel,
+        model: ModelSource | Sequence[ModelSource],
         space: ParameterSpace | None = None,
         effects: Sequence[Effect] = (),
         *,
@@ -82,7 +82,8 @@ class WarpSimulator(Simulator):
         if nworld < 0:
             raise BadInput(f"nworld must be positive, or 0 for as many as fit, got {nworld}")
         self.reference = MujocoSimulator(model, space, effects, check_influence=check_influence)
-        self.model, self.effects = self.reference.model, self.reference.effects
+        self.models, self.model = self.reference.models, self.reference.model
+        self.effects = self.reference.effects
         self.space, self.states = self.reference.space, self.reference.states
         self.memory_time = self.reference.memory_time
         self.nworld = nworld

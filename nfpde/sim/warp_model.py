@@ -75,11 +75,11 @@ class WarpModel:
             self.columns[name] = slice(first, first + size)
             first += size
         self.ncolumn = first
-        self._switch_on(space)
+        self._switch_on()
         nominal = _put(self.model, {})
         for name in self.fields:
             _refuse_shared(nominal, name)
-        self._flags = self._static_flags(nominal, space)
+        self._flags = self._static_flags(nominal)
         moving = model.body_weldid[model.geom_bodyid] != 0
         on_mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] != -1
         place = _PLACES & {*self.fields}
@@ -157,16 +157,16 @@ class WarpModel:
         rest = {*self.fields} - low.keys() - {*self._fixed}
         return frozenset(rest) if rest <= DERIVED else None
 
-    def _switch_on(self, space: ParameterSpace) -> None:
+    def _switch_on(self) -> None:
         """Switch on, for all worlds, every limit that some parameter vector switches on."""
-        for vector in _probes(space):
+        for vector in self.writer.probes:
             if self._switches:
                 changed = copy.copy(self.model)
                 self.writer.write(changed, vector)
                 for name in self._switches:
                     getattr(self.model, name)[...] |= getattr(changed, name)
 
-    def _static_flags(self, nominal: mjw.Model, space: ParameterSpace) -> dict[str, bool]:
+    def _static_flags(self, nominal: mjw.Model) -> dict[str, bool]:
         """Settings that MuJoCo Warp derives once from the model: on if any parameter vector needs them.
 
         Raises:
@@ -175,7 +175,7 @@ class WarpModel:
         flags: dict[str, bool] = {}
         batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.fields}
         ignored = {*batched, *UNUSED, *self._switches}
-        for vector in _probes(space):
+        for vector in self.writer.probes:
             changed = copy.copy(self.model)
             self.writer.write(changed, vector)
             other = _put(changed, {})
@@ -186,16 +186,11 @@ class WarpModel:
                         continue
                     if not isinstance(new, bool | np.bool_):
                         raise BadModel(
-                            f"MuJoCo Warp shares {f.name} among all worlds, and the parameters change it: leave out "
-                            "the parameter that does, or use device='cpu'"
+                            f"MuJoCo Warp shares {f.name} among all worlds, and the parameters or models change it: "
+                            "leave out the parameter or model that does, or use device='cpu'"
                         )
                     flags[f.name] = True
         return flags
-
-
-def _probes(space: ParameterSpace) -> list[Array]:
-    """Parameter vectors at the places where `ModelWriter` looks for the fields that change."""
-    return [space.low + share * (space.high - space.low) for share in (0.0, 1.0, 0.3819, 0.7236)]
 
 
 def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
@@ -234,8 +229,8 @@ def _refuse_shared(m: mjw.Model, name: str) -> None:
     spec = {f.name: f.type for f in dataclasses.fields(owner)}.get(attribute)
     if tuple(getattr(spec, "shape", ()))[:1] != ("*",):
         raise BadModel(
-            f"MuJoCo Warp has no {name} of each world's own, and the parameters change it: leave out the parameter "
-            "that does, or use device='cpu'"
+            f"MuJoCo Warp has no {name} of each world's own, and the parameters or models change it: leave out the "
+            "parameter or model that does, or use device='cpu'"
         )
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadParameter
-from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import effect_columns
+from nfpde.sim.alike import differing_fields, model_column
 from nfpde.sim.fields import array_fields, get_field, set_field
 from nfpde.sim.limits import refuse_impossible, refuse_weightless
 from nfpde.sim.quiet import quiet_mujoco
-from nfpde.sim.slots import slots_of
+from nfpde.sim.slots import DERIVED, slots_of
 
 Array = NDArray[np.float64]
 
@@ -53,8 +54,8 @@ class ModelWriter:
     recomputes what depends on the model's constants.
 
     Args:
-        model: the nominal model; it is copied.
-        space: parameters that are model fields.
+        model: the nominal model, or several of one size (see `nfpde.sim.alike`); they are copied.
+        space: parameters that are model fields; with several models also the one that says which.
         effects: bound effects; the columns of their parameters follow those of `space`.
 
     Raises:
@@ -62,19 +63,38 @@ class ModelWriter:
             nothing new, or bounds that no robot can have (see `nfpde.sim.limits`).
     """
 
-    def __init__(self, model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect] = ()) -> None:
-        self.nominal = copy.copy(model)
+    def __init__(
+        self,
+        model: mujoco.MjModel | Sequence[mujoco.MjModel],
+        space: ParameterSpace | None,
+        effects: Sequence[Effect] = (),
+    ) -> None:
+        self.models = [copy.copy(m) for m in ([model] if isinstance(model, mujoco.MjModel) else model)]
+        self.nominal = self.models[0]
         self.nbase = 0 if space is None else len(space)
-        self._slots = slots_of(self.nominal, space)
-        refuse_impossible(self.nominal, self._slots)
+        self._model_column = model_column(space, len(self.models))
+        self._own = differing_fields(self.models)
+        written = [(i, p) for i, p in enumerate(space or ()) if i != self._model_column]
+        self._slot_columns = [i for i, _ in written]
+        self._slots = [slots_of(m, [p for _, p in written]) for m in self.models]
+        for m, slots in zip(self.models, self._slots, strict=True):
+            refuse_impossible(m, slots)
         columns = zip(effects, effect_columns(effects, self.nbase), strict=True)
         writing = [(e, c) for e, c in columns if overrides(e, "write_model")]
         self._effects = sorted(writing, key=lambda pair: pair[0].writes_last)
         self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
-        self._nominal_fields: dict[str, NDArray[Any]] = {}
-        self.fields = self._changing_fields(everything)
-        self._nominal_fields = {f: np.array(get_field(self.nominal, f)) for f in self.fields}
+        low, high = (np.array([getattr(p, side) for p in everything]) for side in ("low", "high"))
+        self.probes = _probes(low, high, self._model_column, len(self.models))
+        self._nominal_fields = self._fields_of_models(self._own)
+        self.fields = self._changing_fields()
+        self._nominal_fields = self._fields_of_models(self.fields)
+
+    def which(self, xi: Array) -> NDArray[np.intp]:
+        """The model of each parameter vector, xi (M, D) to (M,)."""
+        if self._model_column is None:
+            return np.zeros(len(xi), np.intp)
+        return np.minimum(xi[:, self._model_column].astype(np.intp), len(self.models) - 1)
 
     def write(self, model: mujoco.MjModel, xi: Array) -> None:
         """Write one parameter vector xi (D,) into a model compiled as the nominal one was.
@@ -88,13 +108,14 @@ class ModelWriter:
 
     def rows(self, xi: Array) -> dict[str, Array]:
         """Model fields that depend on the parameters, for every vector: xi (M, D) to arrays (M, ...)."""
-        out = {f: np.empty((len(xi), *v.shape), v.dtype) for f, v in self._nominal_fields.items()}
+        out = {f: np.empty((len(xi), *v.shape), v.dtype) for f, v in self._nominal_fields[0].items()}
         written = None if self._effects else self.written_rows(xi)
+        which = self.which(xi)
         for m, vector in enumerate(xi):
             if written is None:
                 self._write(self._scratch, vector)
             else:  # whole fields, many times faster than parameter by parameter
-                for name, value in self._nominal_fields.items():
+                for name, value in self._nominal_fields[which[m]].items():
                     self._scratch[name] = written[name][m] if name in written else value
                 self._set_const(self._scratch, vector)
             for name, array in out.items():
@@ -104,7 +125,8 @@ class ModelWriter:
     def written_rows(self, xi: Array) -> dict[str, Array]:
         """The fields that parameters of the space name, for every vector, without what MuJoCo derives from them.
 
-        As in `rows`, but all vectors at once: for simulators that derive the rest themselves.
+        Of several models, also the fields in which they differ. As in `rows`, but all vectors at once: for simulators
+        that derive the rest themselves.
 
         Raises:
             BadParameter: effects write into the model, one vector at a time.
@@ -112,34 +134,43 @@ class ModelWriter:
         if self._effects:
             raise BadParameter(f"the effect {self._effects[0][0].name} writes whole models; use rows")
         out: dict[str, Array] = {}
+        which = self.which(xi)
 
         def rows_of(name: str) -> Array:
             if name not in out:
-                own = np.asarray(get_field(self.nominal, name), dtype=np.float64)
-                out[name] = np.tile(own, (len(xi), *(1,) * own.ndim))
+                own = np.array([get_field(m, name) for m in self.models], dtype=np.float64)
+                out[name] = own[which]
             return out[name]
 
-        for slot, values in zip(self._slots, xi[:, : self.nbase].T, strict=True):
-            p = slot.parameter
-            column = values.reshape(-1, *(1,) * slot.nominal.ndim)
-            rows_of(p.field)[(slice(None), *slot.index)] = slot.nominal * column if p.relative else column
-            if slot.inertia is not None:
-                ratio = column if p.relative else column / slot.nominal
-                rows_of("body_inertia")[:, slot.index[0]] = slot.inertia * ratio[..., None]
+        for name in self._own:
+            if not name.endswith(DERIVED):
+                rows_of(name)
+        for k, slots in enumerate(self._slots):
+            own = np.flatnonzero(which == k)
+            for slot, values in zip(slots, xi[own][:, self._slot_columns].T, strict=True):
+                p = slot.parameter
+                shape = (-1, *(1,) * slot.nominal.ndim)
+                rows, column = own.reshape(shape), values.reshape(shape)
+                rows_of(p.field)[(rows, *slot.index)] = slot.nominal * column if p.relative else column
+                if slot.inertia is not None:
+                    ratio = column if p.relative else column / slot.nominal
+                    rows_of("body_inertia")[rows, slot.index[0]] = slot.inertia * ratio[..., None]
         return out
 
     def nominal_values(self) -> Array:
-        """The model's own value of every parameter that is a model field; NaN where its elements differ."""
-        values = []
-        for slot in self._slots:
-            own = np.unique(np.ones_like(slot.nominal) if slot.parameter.relative else slot.nominal)
-            values.append(float(own[0]) if own.size == 1 else np.nan)
-        return np.array(values)
+        """The model's own value of every parameter that is a model field; NaN where its elements, or models, differ."""
+        values = np.full(self.nbase, np.nan)
+        for column, *slots in zip(self._slot_columns, *self._slots, strict=True):
+            own = np.unique([np.ones_like(s.nominal) if s.parameter.relative else s.nominal for s in slots])
+            if own.size == 1:
+                values[column] = own[0]
+        return values
 
     def _write(self, scratch: _Scratch, xi: Array) -> None:
-        for name, value in self._nominal_fields.items():
+        k = int(self.which(xi[None])[0])
+        for name, value in self._nominal_fields[k].items():
             scratch[name] = value
-        for slot, value in zip(self._slots, xi[: self.nbase], strict=True):
+        for slot, value in zip(self._slots[k], xi[self._slot_columns], strict=True):
             p = slot.parameter
             if slot.index:
                 scratch[p.field][slot.index] = slot.nominal * value if p.relative else value
@@ -158,25 +189,38 @@ class ModelWriter:
         try:
             mujoco.mj_setConst(scratch.model, scratch.data)
         except (mujoco.FatalError, ValueError) as error:
-            names = [s.parameter.name for s in self._slots] + [e.name for e, _ in self._effects]
+            names = [s.parameter.name for s in self._slots[0]] + [e.name for e, _ in self._effects]
             raise BadParameter(f"{', '.join(names)}: MuJoCo refuses the model with the values {xi}: {error}") from None
 
-    def _changing_fields(self, parameters: Sequence[Parameter]) -> list[str]:
+    def _fields_of_models(self, names: Sequence[str]) -> list[dict[str, NDArray[Any]]]:
+        """The own values of each model."""
+        return [{f: np.array(get_field(m, f)) for f in names} for m in self.models]
+
+    def _changing_fields(self) -> list[str]:
         """Every field that differs from nominal under some parameter vector, derived constants included."""
-        if not parameters:
-            return []
-        before = {f: np.array(get_field(self.nominal, f)) for f in array_fields(self.nominal)}
-        low, high = (np.array([getattr(p, side) for p in parameters]) for side in ("low", "high"))
+        before = self._fields_of_models(array_fields(self.nominal))
         changed: set[str] = set()
-        # irregular places in the box: a value that happens to be the model's own would hide its field
-        for share in (0.0, 1.0, 0.3819, 0.7236):
+        varied: set[str] = set()
+        for i, vector in enumerate(self.probes):
+            k = int(self.which(vector[None])[0])
             probe = _Scratch(copy.copy(self.nominal))
             with quiet_mujoco():
-                self._write(probe, low + (high - low) * share)
-            if share == 0.0:
-                refuse_weightless(probe.model, probe.data, self._slots)
-            changed |= {f for f, v in before.items() if not np.array_equal(v, probe[f], equal_nan=True)}
-        for slot in self._slots:
-            if slot.parameter.field not in changed:
+                self._write(probe, vector)
+            if i < len(self.models):
+                refuse_weightless(probe.model, probe.data, self._slots[k])
+            changed |= {f for f, v in before[0].items() if not np.array_equal(v, probe[f], equal_nan=True)}
+            varied |= {f for f, v in before[k].items() if not np.array_equal(v, probe[f], equal_nan=True)}
+        for slot in self._slots[0]:
+            if slot.parameter.field not in varied:
                 raise BadParameter(f"{slot.parameter.name}: no value within its bounds differs from the model's own")
         return sorted(changed)
+
+
+def _probes(low: Array, high: Array, model_column: int | None, nmodel: int) -> Array:
+    """Parameter vectors that show which fields change: the lowest first, each with every model, (P, D)."""
+    # irregular places in the box: a value that happens to be the model's own would hide its field
+    shares = np.array([0.0, 1.0, 0.3819, 0.7236])
+    vectors = np.repeat(low + shares[:, None] * (high - low), nmodel, axis=0)
+    if model_column is not None:
+        vectors[:, model_column] = np.tile(np.arange(nmodel), len(shares))
+    return vectors if len(low) else vectors[:0]
