@@ -4,14 +4,16 @@ import mujoco
 import numpy as np
 import pytest
 
+import nfpde
 from nfpde.bench import losses
 from nfpde.benchmarks import ROBOTS
 from nfpde.effects import effect
-from nfpde.errors import BadEffect, BadModel, BadParameter
+from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
+from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import ModelWriter, MujocoSimulator, make_simulator
+from nfpde.sim import MujocoSimulator, make_simulator
 from nfpde.sim.warp import WarpSimulator
-from tests.models import DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows
+from tests.models import DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows, record
 
 MASS = Parameter("body_mass", "lower", 0.5, 2.0, relative=True)
 DAMPING = Parameter("dof_damping", "shoulder", 0.0, 1.0)
@@ -38,9 +40,7 @@ def choice(count):
     return Parameter("model", low=0, high=count)
 
 
-def arms(device, **options):
-    space = ParameterSpace([MASS, choice(len(BUILDS)), DAMPING])
-    return make_simulator(BUILDS, space, device=device, check_influence=False, **options)
+SPACE = ParameterSpace([MASS, choice(len(BUILDS)), DAMPING])
 
 
 def split(sim, xi, windows):
@@ -65,7 +65,7 @@ def mixed_vectors(sim):
 
 def test_rows_are_those_of_each_model_alone(windows):
     """Parameters that scale and that replace, and every number in which the models differ: the same bits."""
-    sim = arms("cpu")
+    sim = MujocoSimulator(BUILDS, SPACE, check_influence=False)
     xi, model = mixed_vectors(sim)
     expected = split(sim, np.column_stack([xi[:, 0], model, xi[:, 2]]), windows)
     assert np.abs(expected[:5] - expected[0]).max((1, 2, 3))[1:].min() > 1e-3
@@ -75,7 +75,8 @@ def test_rows_are_those_of_each_model_alone(windows):
 
 def test_the_device_takes_the_same_rows(windows):
     """All pairs and any pairs in single precision, with results poisoned beforehand."""
-    sim = arms("warp-cpu")
+    sim = WarpSimulator(BUILDS, SPACE, device="warp-cpu", check_influence=False)
+    assert sim._model.derived is None  # geoms of other sizes: the host derives MuJoCo's constants
     xi, model = mixed_vectors(sim)
     expected = split(sim, np.column_stack([xi[:, 0], model, xi[:, 2]]), windows)
     rows = np.random.default_rng(1).integers(0, [[12], [5]], (2, 20))
@@ -90,6 +91,23 @@ def test_the_device_takes_the_same_rows(windows):
         np.testing.assert_allclose(call(), wanted, atol=2e-5)
     one = np.ones(4)
     np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
+
+
+def test_constants_of_several_models_are_derived_on_the_device(windows):
+    """Where only masses and motors differ, no row's constants come from the host."""
+    heavy = changed(DOUBLE_PENDULUM, ('size="0.04" mass="1.2"', 'size="0.04" mass="3"'), ('gear="3"', 'gear="2"'))
+    space = ParameterSpace([MASS, choice(2)])
+    sim = WarpSimulator([BUILDS[0], heavy], space, device="warp-cpu", check_influence=False)
+    assert sim._model.derived
+    xi = np.array([[0.7, 1.0], [0.7, 0.0], [1.6, 1.0]])
+    expected = split(sim, xi, windows)
+    sim.predict(xi, windows)
+    (batch,) = sim._batches.values()
+    batch.poison()
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=2e-5)
+    fields = sim.reference.writer.rows(xi)
+    for name in sim._model.derived:
+        np.testing.assert_allclose(batch._fields[name].numpy(), fields[name].reshape(3, -1), rtol=1e-4, err_msg=name)
 
 
 @pytest.mark.parametrize("device", ["cpu", "warp-cpu"])
@@ -134,7 +152,7 @@ def test_effects_and_constants_follow_each_model(windows):
 
 def test_what_the_simulator_says_of_several_models():
     """Values are unknown where models differ, and a run is resumed with the same models in the same order only."""
-    sim = arms("cpu")
+    sim = MujocoSimulator(BUILDS, SPACE, check_influence=False)
     np.testing.assert_array_equal(sim.nominal(), [1.0, np.nan, 0.2])
     with_other_order = MujocoSimulator(BUILDS[::-1], sim.space, check_influence=False)
     assert sim.identity() != with_other_order.identity()
@@ -144,7 +162,7 @@ def test_what_the_simulator_says_of_several_models():
 
 def test_a_model_can_be_written_back():
     """A live model takes one build after the other, and none leaves a trace."""
-    sim = arms("cpu")
+    sim = MujocoSimulator(BUILDS, SPACE, check_influence=False)
     live = mujoco.MjModel.from_xml_string(DOUBLE_PENDULUM)
     for k in (3, 1, 4, 0):
         sim.writer.write(live, np.array([1.0, k, 0.2]))
@@ -206,6 +224,23 @@ def test_the_parameter_of_the_model(models, parameters, text):
         MujocoSimulator(models, ParameterSpace(parameters))
 
 
+def test_a_fit_finds_the_model_that_made_the_recordings():
+    """Softmax puts nearly all probability on the right one of three builds, and the mass where it was."""
+    sim = MujocoSimulator(BUILDS[:3], ParameterSpace([choice(3), MASS]), check_influence=False)
+    config = NfpdeConfig(iterations=25, samples=100, transitions=20, transforms=2, hidden=16)
+    result = nfpde.fit(sim, record(BUILDS[1], 1, 30, 5), method="softmax", config=config, quiet=True)
+    drawn = result.distribution.sample(1000)
+    assert (drawn[:, 0].astype(int) == 1).mean() > 0.9
+    assert np.median(drawn[:, 1]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_fit_that_follows_slopes_refuses_several_models():
+    """Along the choice of a model there is no slope."""
+    sim = MujocoSimulator(BUILDS[:2], ParameterSpace([MASS, choice(2)]), check_influence=False)
+    with pytest.raises(BadInput, match="jump along model, and the method trajectory follows slopes: take softmax"):
+        nfpde.fit(sim, record(BUILDS[1], 1, 10, 5), quiet=True)
+
+
 def test_no_model():
     """An empty list is no model."""
     with pytest.raises(BadModel, match="no model was given"):
@@ -216,9 +251,3 @@ def test_an_effect_that_takes_something_from_its_model():
     """Backlash takes the inertia of its rotor from the model, and the models have others."""
     with pytest.raises(BadEffect, match=r"backlash on elbow_motor: it takes spare from the model, and model 1 has"):
         MujocoSimulator(BUILDS[:2], ParameterSpace([choice(2)]), [effect("backlash", "elbow_motor", width=(0.0, 0.1))])
-
-
-def test_writer_without_a_simulator():
-    """Files of several models are written one vector at a time, as those of one."""
-    writer = ModelWriter(BUILDS[:2], ParameterSpace([choice(2)]))
-    assert "geom_size" in writer.fields

@@ -57,7 +57,7 @@ def fit(
         quiet: no progress on the error stream.
 
     Raises:
-        BadInput: settings, or windows without what the simulator needs.
+        BadInput: settings, windows without what the simulator needs, or several models with `trajectory`.
         CheckpointMismatch: `out` belongs to another run.
         KeyboardInterrupt: after saving a checkpoint.
     """
@@ -70,6 +70,12 @@ def fit(
         raise BadInput(f"the method {method} takes a {CONFIGS[method].__name__}, got a {type(config).__name__}")
     if resolution is not None and not isinstance(settings, TrajectoryConfig):
         raise BadInput(f"resolution means nothing to the method {method}; leave it out, or take trajectory")
+    if simulator.jumps and method == "trajectory":
+        names = ", ".join(simulator.space.parameters[i].name for i in simulator.jumps)
+        raise BadInput(
+            f"predictions jump along {names}, and the method trajectory follows slopes: take softmax, or fit each "
+            "model by a simulator of its own"
+        )
     dataset = simulator.prepare(dataset)
     run = {
         "method": method,

@@ -35,7 +35,8 @@ class MujocoSimulator(Simulator):
             several in a list, of one size: same tree, types, names of joints and actuators, command ranges and
             options that are no real numbers; masses, places, lengths, gains and other real numbers may differ. The
             parameter `Parameter("model", low=0, high=<how many>)` then says which of them a simulation is of: model k
-            holds the values from k up to k + 1.
+            holds the values from k up to k + 1. Fit it by softmax: the share of the distribution between k and k + 1 is
+            the probability of model k.
         space: the parameters. Parameters of effects (`coulomb_friction.torque`) may be among them, as they are in
             the space of a saved distribution; None where only effects are unknown.
         effects: physics the model lacks; their parameters are appended to the space.
@@ -66,6 +67,8 @@ class MujocoSimulator(Simulator):
         self.space = ParameterSpace([*(base or ()), *(p for e in self.effects for p in e.parameters)])
         self.states = StateSpace.of_model(self.model)
         self.writer = ModelWriter(self.models, base, self.effects)
+        column = self.writer.model_column
+        self.jumps = () if column is None else (column,)
         self.nthread = nthread or len(os.sched_getaffinity(0))
         self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
         self.memory_time = self._bound.memory_time

@@ -48,12 +48,15 @@ class Simulator(ABC):
         space: the parameters, D of them, those of effects last.
         states: the layout of a state and of the difference of two.
         memory_time: how far back [s] commands matter; windows must hold that much history.
+        jumps: columns of parameters along which predictions jump, such as the choice of a model; a fit that follows
+            slopes refuses them.
         simulated_steps: physics steps taken so far, the unit in which estimators are compared.
     """
 
     space: ParameterSpace
     states: StateSpace
     memory_time: float = 0.0
+    jumps: tuple[int, ...] = ()
     simulated_steps: int = 0
 
     @abstractmethod

@@ -85,7 +85,7 @@ class WarpSimulator(Simulator):
         self.models, self.model = self.reference.models, self.reference.model
         self.effects = self.reference.effects
         self.space, self.states = self.reference.space, self.reference.states
-        self.memory_time = self.reference.memory_time
+        self.memory_time, self.jumps = self.reference.memory_time, self.reference.jumps
         self.nworld = nworld
         writer = self.reference.writer
         with wp.ScopedDevice(self.device):

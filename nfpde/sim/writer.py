@@ -72,9 +72,9 @@ class ModelWriter:
         self.models = [copy.copy(m) for m in ([model] if isinstance(model, mujoco.MjModel) else model)]
         self.nominal = self.models[0]
         self.nbase = 0 if space is None else len(space)
-        self._model_column = model_column(space, len(self.models))
+        self.model_column = model_column(space, len(self.models))
         self._own = differing_fields(self.models)
-        written = [(i, p) for i, p in enumerate(space or ()) if i != self._model_column]
+        written = [(i, p) for i, p in enumerate(space or ()) if i != self.model_column]
         self._slot_columns = [i for i, _ in written]
         self._slots = [slots_of(m, [p for _, p in written]) for m in self.models]
         for m, slots in zip(self.models, self._slots, strict=True):
@@ -85,16 +85,16 @@ class ModelWriter:
         self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
         low, high = (np.array([getattr(p, side) for p in everything]) for side in ("low", "high"))
-        self.probes = _probes(low, high, self._model_column, len(self.models))
+        self.probes = _probes(low, high, self.model_column, len(self.models))
         self._nominal_fields = self._fields_of_models(self._own)
         self.fields = self._changing_fields()
         self._nominal_fields = self._fields_of_models(self.fields)
 
     def which(self, xi: Array) -> NDArray[np.intp]:
         """The model of each parameter vector, xi (M, D) to (M,)."""
-        if self._model_column is None:
+        if self.model_column is None:
             return np.zeros(len(xi), np.intp)
-        return np.minimum(xi[:, self._model_column].astype(np.intp), len(self.models) - 1)
+        return np.minimum(xi[:, self.model_column].astype(np.intp), len(self.models) - 1)
 
     def write(self, model: mujoco.MjModel, xi: Array) -> None:
         """Write one parameter vector xi (D,) into a model compiled as the nominal one was.
