@@ -1,10 +1,8 @@
 //! The proof that a plan is optimal: feasible potentials, and the gap between the plan's cost and theirs.
 
-use crate::cost::Cost;
 use crate::error::OtError;
-use crate::masses::{Compensated, Masses};
+use crate::masses::Compensated;
 use crate::network_simplex::typical_size;
-use crate::simd::{LeastSum, run};
 
 /// Potentials that satisfy `alpha[i] + beta[j] <= cost[i, j]` for every pair, in scaled units.
 #[derive(Clone, Debug)]
@@ -15,26 +13,14 @@ pub struct Potentials {
     pub beta: Vec<f64>,
 }
 
-/// Makes potentials feasible over all pairs: `alpha[i]` becomes the least `cost[i, j] - beta[j]`.
-pub fn tighten(cost: &dyn Cost, beta: Vec<f64>) -> Potentials {
-    let mut row = vec![0.0; cost.cols()];
-    let minus_beta: Vec<f64> = beta.iter().map(|b| -b).collect();
-    let alpha = (0..cost.rows())
-        .map(|i| {
-            cost.fill_row(i, &mut row);
-            run(LeastSum(&row, &minus_beta)).0
-        })
-        .collect();
-    Potentials { alpha, beta }
-}
-
 /// Largest gap that is rounding and no error: relative to the cost, and to the numbers the dual value is made of.
 const GAP_OF_COST: f64 = 1e-11;
 const GAP_OF_POTENTIALS: f64 = 1e-13;
 /// Reduced costs that the search may leave, relative to typical potentials.
 const GAP_OF_PRICING: f64 = 1e-14;
 
-/// The primal value minus the value of the potentials, for shares of the total mass and scaled costs.
+/// The primal value minus the value of the potentials, for shares of the total mass and scaled costs; `unit` is the
+/// share of one quantum.
 ///
 /// # Errors
 /// `NotOptimal` when the gap is more than rounding.
@@ -43,16 +29,20 @@ pub fn certify(
     potentials: &Potentials,
     a: impl Iterator<Item = f64>,
     b: impl Iterator<Item = f64>,
-    masses: &Masses,
+    unit: f64,
 ) -> Result<f64, OtError> {
     let (mut dual, mut size, mut rounding) = (Compensated::default(), 0.0, 0.0);
-    for (share, p) in a.zip(&potentials.alpha).chain(b.zip(&potentials.beta)) {
+    let half = |potentials: &[f64]| 0.5 * potentials.len() as f64;
+    let rows = a.zip(&potentials.alpha).map(|(share, p)| (share, p, half(&potentials.alpha)));
+    let cols = b.zip(&potentials.beta).map(|(share, p)| (share, p, half(&potentials.beta)));
+    for (share, p, points) in rows.chain(cols) {
         dual.add(share * p);
         size += (share * p).abs();
-        rounding += p.abs() * masses.unit;
+        // A mass is its weight rounded to a whole quantum. The rounding of every point of its side, half a quantum
+        // each at most, is in the total that makes it a share.
+        rounding += p.abs() * unit * (1.0 + points * share);
     }
     let gap = primal - dual.value();
-    // Shares are whole quanta, so the plan itself is exact to a quantum at each point only.
     let pricing = GAP_OF_PRICING * typical_size(potentials.alpha.iter().chain(&potentials.beta));
     let allowed = GAP_OF_COST * primal.abs() + GAP_OF_POTENTIALS * size + rounding + pricing;
     if gap.abs() <= allowed {

@@ -53,7 +53,8 @@ pub fn conclude(
     }
     let (n, m) = (cost.rows(), cost.cols());
     let primal = scaled.value();
-    let gap = certify(primal, &potentials, shares(a, n, masses.total_rows), shares(b, m, masses.total_cols), masses)?;
+    let (of_rows, of_cols) = (shares(a, n, masses.total_rows), shares(b, m, masses.total_cols));
+    let gap = certify(primal, &potentials, of_rows, of_cols, masses.unit)?;
     let total = total.value() * masses.total_rows;
     let smallest = primal != 0.0 && total.abs() < f64::MIN_POSITIVE;
     if cost.exponent() != 0 {

@@ -1,6 +1,6 @@
 //! Chooses the method for a problem and runs it.
 
-use crate::certificate::{Potentials, tighten};
+use crate::certificate::Potentials;
 use crate::coarse_to_fine;
 use crate::cost::{Cost, Metric};
 use crate::error::OtError;
@@ -116,5 +116,14 @@ fn solve_core(
     for (&j, &v) in cols.iter().zip(&best.v) {
         beta[j] = v;
     }
-    Ok((arcs, tighten(cost, beta)))
+    // Those of rows with mass stay: computed again, they would take on the rounding of any column's potential.
+    let mut alpha = vec![f64::NAN; cost.rows()];
+    for (&i, &u) in rows.iter().zip(&best.u) {
+        alpha[i] = u;
+    }
+    for (i, alpha) in alpha.iter_mut().enumerate().filter(|(_, alpha)| alpha.is_nan()) {
+        cost.fill_row(i, &mut row_costs);
+        *alpha = row_costs.iter().zip(&beta).fold(f64::INFINITY, |least, (c, b)| least.min(c - b));
+    }
+    Ok((arcs, Potentials { alpha, beta }))
 }
