@@ -44,7 +44,7 @@ _PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
 
 
 class WarpModel:
-    """What is common to all batches: the fields that vary, their columns in the staged rows, and static settings.
+    """What is common to all batches: the fields that vary, their columns in the staged rows, and all the others.
 
     Args:
         model: the nominal model.
@@ -76,10 +76,14 @@ class WarpModel:
             first += size
         self.ncolumn = first
         self._switch_on()
-        nominal = _put(self.model, {})
+        self.nominal = _put(self.model)
         for name in self.fields:
-            _refuse_shared(nominal, name)
-        self._flags = self._static_flags(nominal)
+            _refuse_shared(self.nominal, name)
+        for name, value in self._static_flags().items():
+            setattr(self.nominal, name, value)
+        if wp.get_device().is_cuda and not wp.is_conditional_graph_supported():
+            self.nominal.opt.graph_conditional = False  # before CUDA 12.4
+        self.nominal.opt.warn_overflow = 0  # read from the data instead: printing stops the GPU
         moving = model.body_weldid[model.geom_bodyid] != 0
         on_mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] != -1
         place = _PLACES & {*self.fields}
@@ -106,27 +110,24 @@ class WarpModel:
         return out
 
     def put(self, nrow: int, nworld: int) -> tuple[mjw.Model, dict[str, wp.array]]:
-        """A model on Warp's current device, and its varying fields as (rows, numbers) of floats.
+        """A model on Warp's current device, and its varying fields, not filled yet, as (rows, numbers) of floats.
 
         Fields that effects change before every physics step have a row per world, the others `nrow`, of which world w
-        reads row w % nrow.
+        reads row w % nrow. All that does not vary is one for all models of this call: building it is slow.
         """
-        sizes = {f: nworld if f in self.step_fields else nrow for f in self.fields}
-        m = _put(self.model, {f: n for f, n in sizes.items() if not f.startswith("opt.")})
-        for name, value in self._flags.items():
-            setattr(m, name, value)
-        if wp.get_device().is_cuda and not wp.is_conditional_graph_supported():
-            m.opt.graph_conditional = False  # before CUDA 12.4
-        m.opt.warn_overflow = 0  # read from the data instead: printing stops the GPU
+        m = copy.copy(self.nominal)
+        m.opt = copy.copy(m.opt)
         views = {}
-        for name, n in sizes.items():
+        for name in self.fields:
+            n = nworld if name in self.step_fields else nrow
             owner, attribute = _where(m, name)
             array = getattr(owner, attribute)
-            if name.startswith("opt."):
-                array = wp.zeros((n, *array.shape[1:]), dtype=array.dtype)
-                array._is_batched = True  # as MuJoCo Warp marks its own
-                setattr(owner, attribute, array)
+            array = wp.zeros((n, *array.shape[1:]), dtype=array.dtype)
+            array._is_batched = True  # as MuJoCo Warp marks its own
+            setattr(owner, attribute, array)
             views[name] = _floats(array, get_field(self.model, name).size)
+        for name in DERIVED - {*self.fields}:  # `derive` writes them as well
+            setattr(m, name, wp.clone(getattr(m, name)))
         return m, views
 
     def views(self, m: mjw.Model, names: list[str]) -> dict[str, wp.array]:
@@ -166,7 +167,7 @@ class WarpModel:
                 for name in self._switches:
                     getattr(self.model, name)[...] |= getattr(changed, name)
 
-    def _static_flags(self, nominal: mjw.Model) -> dict[str, bool]:
+    def _static_flags(self) -> dict[str, bool]:
         """Settings that MuJoCo Warp derives once from the model: on if any parameter vector needs them.
 
         Raises:
@@ -178,8 +179,8 @@ class WarpModel:
         for vector in self.writer.probes:
             changed = copy.copy(self.model)
             self.writer.write(changed, vector)
-            other = _put(changed, {})
-            for a, b in ((nominal, other), (nominal.opt, other.opt)):
+            other = _put(changed)
+            for a, b in ((self.nominal, other), (self.nominal.opt, other.opt)):
                 for f in dataclasses.fields(a):
                     old, new = getattr(a, f.name), getattr(b, f.name)
                     if f.name in ignored or f.name.startswith(_PICTURES) or _same(old, new):
@@ -193,7 +194,7 @@ class WarpModel:
         return flags
 
 
-def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
+def _put(model: mujoco.MjModel) -> mjw.Model:
     user = int(mujoco.mjtGain.mjGAIN_USER), int(mujoco.mjtBias.mjBIAS_USER)
     if user[0] in model.actuator_gaintype or user[1] in model.actuator_biastype:
         raise BadModel(
@@ -203,7 +204,7 @@ def _put(model: mujoco.MjModel, batch_sizes: dict[str, int]) -> mjw.Model:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return mjw.put_model(model, batch_sizes=batch_sizes)
+            return mjw.put_model(model)
     except (NotImplementedError, ValueError) as error:
         raise BadModel(
             f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "

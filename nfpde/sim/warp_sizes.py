@@ -59,7 +59,7 @@ def bytes_per_world(model: WarpModel, effects: WarpEffects, space: StateSpace, s
 def _passing_bytes(model: WarpModel, sizes: Sizes, device: wp.Device, nworld: int = 1024) -> int:
     """Bytes a world that a physics step allocates and gives back, on a GPU."""
     with wp.ScopedDevice(device):
-        m, _ = model.put(1, nworld)
+        m = model.nominal
         d = mjw.make_data(model.model, nworld=nworld, nconmax=sizes.nconmax, njmax=sizes.njmax)
         mjw.step(m, d)
         wp.synchronize_device(device)
