@@ -56,7 +56,8 @@ def test_a_problem_of_the_calibration_on_both_devices():
     here, there = (problem("pendulum", False, settings, 0, device) for device in ("cpu", "warp-cpu"))
     assert here["true"] == there["true"]
     apart = np.abs(np.array(there["value"]) - here["value"])
-    assert (apart < 0.05 * np.array(here["std"])).all()
+    # in its last round either fit moves by a tenth of a standard deviation at most
+    assert (apart < 0.2 * np.array(here["std"])).all()
 
 
 def test_a_file_says_where_its_fits_were_simulated():
@@ -128,7 +129,7 @@ def test_a_diagnosis_that_differs_is_said(monkeypatch):
         return SimpleNamespace(verdict="effects", effects=[cause], gap=SimpleNamespace(after_effects=0.25))
 
     monkeypatch.setattr(devices, "diagnose_gap", diagnose)
-    row = devices._diagnosis_row(0, 40, "warp-cpu")
+    row = devices._diagnosis_row(2, 40, "warp-cpu")
     assert asked == ["cpu", "warp-cpu"]
     assert row["answers"] == ["effects, backlash elbow", "effects, dead_zone elbow"]
     assert row["apart"] == "ANOTHER ANSWER; gap left 0.25, 0.25"

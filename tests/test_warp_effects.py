@@ -13,6 +13,7 @@ from nfpde.effects.registry import all_candidates
 from nfpde.effects.scales import DataScales
 from nfpde.errors import BadEffect
 from nfpde.sim import load_model
+from nfpde.sim.acting import effect_columns
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_device import start_warp
 from nfpde.sim.warp_effects import COMMANDS, SENSORS, STEPS
@@ -59,8 +60,6 @@ def test_kernel_equals_its_twin(name):
     # the effect shows: a kernel that does nothing would not pass
     assert np.abs(expected[:4] - expected[-1]).max() > 100 * TOLERANCE
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
-    scale = np.ones(4)
-    np.testing.assert_allclose(sim.losses(xi, windows, scale), sim.reference.losses(xi, windows, scale), rtol=1e-3)
 
 
 SERVOS = DOUBLE_PENDULUM.replace(
@@ -118,15 +117,15 @@ def test_effects_together():
     off = np.random.default_rng(2).random(xi.shape) < 0.4
     xi = np.clip(np.where(off, neutral(sim), xi), sim.space.low, sim.space.high)
     np.testing.assert_allclose(sim.predict(xi, windows), sim.reference.predict(xi, windows), atol=TOLERANCE)
+    scale = np.ones(4)
+    np.testing.assert_allclose(sim.losses(xi, windows, scale), sim.reference.losses(xi, windows, scale), rtol=1e-3)
 
 
-@pytest.mark.parametrize("steps", [0.0, 1.0, 2.5, 3.0])
-def test_delay_of_whole_and_broken_steps(steps):
+def test_delay_of_whole_and_broken_steps():
     """A delay of k steps is a plain shift although k times the step is no float; between, commands are averaged."""
     sim = arm(effect("actuation_delay", "*", delay=(0.0, 0.1)))
-    timestep = sim.model.opt.timestep
     windows = make_windows(sim.model, 3, 6, history=60)
-    xi = [[steps * timestep]]
+    xi = sim.model.opt.timestep * np.array([[0.0], [1.0], [2.5], [3.0]])
     np.testing.assert_allclose(sim.predict(xi, windows), sim.reference.predict(xi, windows), atol=TOLERANCE)
 
 
@@ -168,19 +167,22 @@ def test_effects_on_options_and_fields(name):
 
 
 def test_all_that_a_diagnosis_tries_on_a_robot_in_contact():
-    """Of every effect that only changes the model, one as a diagnosis would try it on a falling Hopper."""
+    """Of every effect that only changes the model, one as a diagnosis would try it on a falling Hopper, alone."""
     model = load_model(ROBOTS["hopper"].path)
     data = record(model, 1, 40, 4, seed=1)
     tried = {e.name: e for e in all_candidates(model, DataScales.of(model, data))}
     names = sorted(tried.keys() - COMMANDS.keys() - STEPS.keys() - SENSORS.keys() - MODEL_CASES.keys())
     assert len(names) > 5
     windows = data.windows(1, stride=5)
-    for name in names:
-        sim = WarpSimulator(model, None, [tried[name]], device="warp-cpu", check_influence=False)
-        xi = sim.space.uniform(2, np.random.default_rng(0))
-        square = ((sim.predict(xi, windows) - sim.reference.predict(xi, windows)) ** 2).sum((2, 3))
-        # as for the robots themselves, see test_warp
-        assert square.max() < 1e-6, name
+    sim = WarpSimulator(model, None, [tried[n] for n in names], device="warp-cpu", check_influence=False)
+    alone = np.repeat([neutral(sim)], len(names), axis=0)
+    for row, columns in zip(alone, effect_columns(sim.effects, 0), strict=True):
+        row[columns] = sim.space.uniform(1, np.random.default_rng(0))[0, columns]
+    expected = sim.reference.predict(alone, windows)
+    assert len(np.unique(expected[:, :, 0, -1], axis=0)) == len(names)
+    square = ((sim.predict(alone, windows) - expected) ** 2).sum((2, 3)).max(1)
+    # as for the robots themselves, see test_warp
+    assert dict(zip(names, square < 1e-6, strict=True)) == dict.fromkeys(names, True)
 
 
 @pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(nfpde.kernels.__path__)])
