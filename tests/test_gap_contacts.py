@@ -1,18 +1,24 @@
 """The diagnosis beside contacts, where small changes make jumps."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
+from nfpde.gap.chart import Chart
 from nfpde.gap.fit import Fitter
+from nfpde.gap.gather import spread
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import search, search_all, spread
+from nfpde.gap.search import search, search_all, search_near
 from nfpde.gap.sensors import sensor_noise
 from nfpde.parameters import Parameter, ParameterSpace
+
+ANYTHING: Any = None
 
 BALL = """
 <mujoco><option timestep="0.002"/>
@@ -42,17 +48,97 @@ def drops(height=0.0, noise=(0.0, 0.0), fall=0.4, rows=200, seed=0, xml=BALL):
     return Dataset(out)
 
 
-def test_search_crosses_where_slopes_mislead():
-    """A floor 30 mm higher is found from guesses of a few, to within half a millimetre."""
-    cut = cut_recordings(drops(height=0.03, noise=(1e-4, 1e-3)), 0, 0, 160)
-    model = mujoco.MjModel.from_xml_string(BALL)
-    replay = Replay(model, None, [effect("ground_height", height=(-0.1, 0.1))])
-    fitter = Fitter(cut.fit, cut.horizons)
-    before = replay.residuals(np.zeros((1, 1)), cut.fit, cut.horizons)[0]
-    scatter = learn_scatter(before, 0, floor_of(before, np.ones_like(before)))
-    found = search(fitter, replay, 0, np.array([[0.003], [-0.003]]), scatter)
-    assert found.xi[0] == pytest.approx(0.03, abs=5e-4)
+BLOCK = """
+<mujoco><option timestep="0.002" cone="elliptic"/><default><geom friction=".5"/></default>
+<worldbody>
+  <geom name="floor" type="plane" size="5 5 .1"/>
+  <body name="block" pos="0 0 .1"><joint name="along" type="slide" axis="1 0 0"/>
+    <joint name="up" type="slide" axis="0 0 1"/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+</worldbody>
+<actuator><motor joint="along"/></actuator></mujoco>
+"""
+
+
+def pushes(friction, rows=200, seed=0):
+    """Recordings of a block that is pushed to and fro on a floor with a sliding coefficient."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for number in range(4):
+        model = mujoco.MjModel.from_xml_string(BLOCK.replace('friction=".5"', f'friction="{friction}"'))
+        data = mujoco.MjData(model)
+        ctrl = 6 * np.sin(2 * np.pi * rng.uniform(0.5, 1.5) * 0.01 * np.arange(rows))[:, None] + rng.normal(0, 2)
+        qpos, qvel = np.empty((rows, 2)), np.empty((rows, 2))
+        for row in range(rows):
+            qpos[row], qvel[row] = data.qpos, data.qvel
+            data.ctrl[:] = ctrl[row]
+            mujoco.mj_step(model, data, 5)
+        qpos += 1e-4 * rng.normal(size=qpos.shape)
+        qvel += 1e-3 * rng.normal(size=qvel.shape)
+        out.append(Episode(str(number), 0.01 * np.arange(rows), qpos, qvel, ctrl))
+    return Dataset(out)
+
+
+def prepared(data, replay, start):
+    """Fitter and scatter of recordings, at free parameters to start from (1, D)."""
+    cut = cut_recordings(data, 0, 0, 160)
+    before = replay.residuals(start, cut.fit, cut.horizons)[0]
+    return Fitter(cut.fit, cut.horizons), learn_scatter(before, 0, floor_of(before, np.ones_like(before))), before
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("height", [0.03, -0.03])
+def test_search_crosses_where_slopes_mislead(height, seed):
+    """A floor 30 mm off is found from guesses of a few, whatever the draw, to within half a millimetre."""
+    replay = Replay(mujoco.MjModel.from_xml_string(BALL), None, [effect("ground_height", height=(-0.1, 0.1))])
+    data = drops(height=height, noise=(1e-4, 1e-3), seed=seed)
+    fitter, scatter, before = prepared(data, replay, np.zeros((1, 1)))
+    found = search(fitter, replay, 0, np.array([[0.003], [-0.003]]), scatter, seed)
+    assert found.xi[0] == pytest.approx(height, abs=5e-4)
     assert spread(found.residuals, scatter.floor) < spread(before, scatter.floor)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_search_finds_how_slippery_a_floor_is(seed):
+    """A coefficient two and a half times too large is corrected to within 5 %, whatever the draw."""
+    replay = Replay(mujoco.MjModel.from_xml_string(BLOCK), None, [effect("ground_friction", sliding=(0.05, 3.0))])
+    fitter, scatter, _ = prepared(pushes(0.2, seed=seed), replay, np.array([[0.5]]))
+    found = search(fitter, replay, 0, np.array([[0.5]]), scatter, seed)
+    assert found.xi[0] == pytest.approx(0.2, rel=0.05)
+
+
+def test_samples_gather_where_least_squares_end():
+    """On residuals that are linear in two parameters the samples end at their least squares."""
+    rng = np.random.default_rng(0)
+    matrix, truth = rng.normal(size=(400, 2)), np.array([0.3, 0.8])
+    target = matrix @ truth
+
+    class Line(Replay):
+        effects = ()
+        low, high = np.zeros(2), np.ones(2)
+
+        def __init__(self):
+            pass
+
+        def residuals(self, xi, windows, horizons, force=None):
+            return (np.atleast_2d(xi) @ matrix.T - target).reshape(len(xi), 100, 1, 4)
+
+    fitter, line = Fitter(ANYTHING, (1, 2)), Line()
+    floor = np.full((1, 4), 1e-3)
+    near = fitter.start(line, truth[None] + 0.02, learn_scatter(rng.normal(size=(100, 1, 4)), 0, floor))
+    assert search_near(fitter, near).xi == pytest.approx(truth, abs=1e-4)
+
+
+def test_coordinates_of_free_parameters():
+    """There and back again; a sign is kept, a factor is a step, a quarter of other bounds is one."""
+    space = ParameterSpace([Parameter("body_mass", "ball", 0.5, 2.5)])
+    effects = [effect("ground_height", height=(-0.1, 0.1)), effect("ground_friction", sliding=(0.05, 3.0))]
+    chart = Chart(Replay(mujoco.MjModel.from_xml_string(BALL), space, effects))
+    xi = np.array([[0.5, -0.1, 0.05], [1.0, -0.002, 0.3], [1.5, 0.0, 0.3 * np.e], [2.5, 0.1, 3.0]])
+    at = chart.inward(xi)
+    assert chart.outward(at) == pytest.approx(xi, rel=1e-12)
+    assert at[:, 0] == pytest.approx([0, 1, 2, 4])
+    assert (np.sign(at[:, 1]) == [-1, -1, 0, 1]).all()
+    assert at[2, 2] - at[1, 2] == pytest.approx(1)
 
 
 def test_spread_is_the_likelihood_of_independent_channels():
@@ -74,15 +160,14 @@ def test_noise_of_sensors_beside_contacts(fall, factor):
     assert np.abs(np.log(ratio)).max() < np.log(factor)
 
 
-def test_parameters_are_searched_where_slopes_mislead():
-    """Mass and stiffness of a ball on a spring that bounces are found from the far corner of their bounds."""
-    spring = BALL.replace('axis="0 0 1"', 'axis="0 0 1" stiffness="20" springref="0.1"')
-    truth = spring.replace('mass="1"', 'mass="1.3"').replace('stiffness="20"', 'stiffness="30"')
-    cut = cut_recordings(drops(noise=(1e-4, 1e-3), xml=truth), 0, 0, 160)
-    space = ParameterSpace([Parameter("body_mass", "ball", 0.5, 2.0), Parameter("jnt_stiffness", "up", 10.0, 60.0)])
+@pytest.mark.parametrize("seed", range(6))
+def test_parameters_are_searched_where_slopes_mislead(seed):
+    """Damping and stiffness of a ball on a spring that bounces are found from the far corner of their bounds."""
+    spring = BALL.replace('axis="0 0 1"', 'axis="0 0 1" stiffness="20" springref="0.1" damping="1"')
+    truth = spring.replace('damping="1"', 'damping="2"').replace('stiffness="20"', 'stiffness="30"')
+    space = ParameterSpace([Parameter("dof_damping", "up", 0.2, 8.0), Parameter("jnt_stiffness", "up", 10.0, 60.0)])
     replay = Replay(mujoco.MjModel.from_xml_string(spring), space, [])
-    fitter = Fitter(cut.fit, cut.horizons)
-    before = replay.residuals(np.array([[0.5, 60.0]]), cut.fit, cut.horizons)[0]
-    scatter = learn_scatter(before, 0, floor_of(before, np.ones_like(before)))
-    found = search_all(fitter, fitter.start(replay, np.array([[0.5, 60.0]]), scatter))
-    assert found.xi == pytest.approx([1.3, 30.0], rel=0.1)  # samples of five rounds: near enough for slopes to go on
+    corner = np.array([[7.9, 59.0]])
+    fitter, scatter, _ = prepared(drops(noise=(1e-4, 1e-3), xml=truth), replay, corner)
+    found = search_all(fitter, fitter.start(replay, corner, scatter), seed)
+    assert found.xi == pytest.approx([2.0, 30.0], rel=0.1)  # near enough for slopes to go on

@@ -15,8 +15,8 @@ from scipy.optimize import lsq_linear
 
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.gather import spread
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import spread
 
 Array = NDArray[np.float64]
 

@@ -1,123 +1,131 @@
-"""Search where slopes mislead: a few rounds of samples that gather about the best of them.
+"""Search where slopes mislead: a dense look over all sizes on few windows, then samples that gather about the best.
 
-Contacts open and close, and each change makes a small step in the cost: slopes over short distances say nothing of
-the way to the best value, the spread of many values does. What is searched for is the least gap, every channel in
-units of its own residuals: a likelihood whose scatter was learned far away need not fall on the way there.
+What is searched for is the least gap, every channel in units of its own residuals: a likelihood whose scatter was
+learned far away need not fall on the way there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, qmc
+from scipy.stats import qmc
 
-from nfpde.effects import Effect
+from nfpde.gap.chart import Chart
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.levels import calm
+from nfpde.gap.gather import Gathering, spread
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
+Columns = NDArray[np.intp]
 
-ROUNDS, SAMPLES, ELITE = 5, 16, 4
-"""Rounds, samples in each, and those of them that the next round gathers about."""
+FEW = 20
+"""Windows that a look over all sizes takes: the way is long, and a rough map shows it."""
 
-WIDE, NEAR = 1.0, 0.15
-"""First standard deviation of the samples' logarithms: of effects of unknown size, and of those that were fitted."""
+LOOKS, MOST_LOOKS = 48, 192
+"""Values looked at for each parameter that is searched, and at most."""
 
-_BOX = 0.25
-"""The same of parameters, as a share of their bounds."""
+KEPT = 3
+"""Places, apart from each other, that are followed."""
 
-_NARROW = 0.3
-"""Least share of a standard deviation that is left after each round."""
+ROUGH, FINE, POLISH = 2, 5, 3
+"""Rounds of samples on few windows, on all, and about a place that slopes have found."""
+
+_BASE, _NEAR = 0.2, 0.04
+"""Distance, in the chart's units, of the first samples of parameters beside those searched; about a fitted place."""
+
+_FINER = 0.25
+"""Width of the first fine round as a share of the distance of neighbouring looks."""
 
 
-def spread(residuals: Array, floor: Array) -> float:
-    """Negative log likelihood [nats] of residuals (N, nv, C) whose channels scatter each by as much as they do."""
-    variance = calm(residuals**2).mean(0) + floor**2
-    return 0.5 * len(residuals) * float(np.log(variance).sum())
-
-
-def search(
-    fitter: Fitter, replay: Replay, index: int, guesses: Array, scatter: Scatter, width: float = WIDE, seed: int = 0
-) -> Fit:
-    """The best of what cross-entropy search finds for an effect's values; other parameters as in a guess.
+def search(fitter: Fitter, replay: Replay, index: int, guesses: Array, scatter: Scatter, seed: int = 0) -> Fit:
+    """The best values of an effect over all its sizes; other parameters start as in a guess and then move along.
 
     Args:
         fitter: Of the windows.
         replay: What is simulated.
         index: Which of its effects.
-        guesses: Free parameters to start from (G, D); the best of them is searched about.
+        guesses: Free parameters to start from (G, D).
         scatter: What the cost of the fit is counted with.
-        width: First standard deviation of the samples' logarithms.
         seed: Of the samples.
     """
-    columns, effect = replay.columns(index), replay.effects[index]
-    costs = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, guesses)]
-    best = guesses[int(np.argmin(costs))]
-    away = _Away.of(effect, best[columns])
-    low, high = replay.low[columns], replay.high[columns]
-
-    def place(at: Array) -> Array:
-        xi = np.tile(best, (len(at), 1))
-        xi[:, columns] = np.clip(away.outward(at), low, high)
-        return xi
-
-    return _gather(fitter, replay, place, away.inward(best[columns]), width, SAMPLES, scatter, seed)
+    columns = np.arange(replay.nfree)[replay.columns(index)]
+    return _search(fitter, replay, columns, guesses, scatter, np.random.default_rng(seed))
 
 
 def search_all(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     """The same for all free parameters of a fit together, over their bounds."""
-    replay = fit.replay
-    low, span = replay.low, replay.high - replay.low
-
-    def place(at: Array) -> Array:
-        return low + span * np.clip(at, 0.0, 1.0)
-
-    return _gather(fitter, replay, place, (fit.xi - low) / span, _BOX, 2 * SAMPLES, fit.scatter, seed)
+    rng = np.random.default_rng(seed)
+    return _search(fitter, fit.replay, np.arange(fit.replay.nfree), fit.xi[None], fit.scatter, rng)
 
 
-def _gather(
-    fitter: Fitter,
-    replay: Replay,
-    place: Callable[[Array], Array],
-    middle: Array,
-    width: float,
-    samples: int,
-    scatter: Scatter,
-    seed: int,
+def search_near(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
+    """The best of all free parameters of a fit together, close to where it is."""
+    replay, free = fit.replay, np.arange(fit.replay.nfree)
+    near = Gathering(fitter, replay, Chart(replay), fit.scatter.floor, fit.xi, free)
+    near.rounds(POLISH, np.full(len(free), _NEAR), np.random.default_rng(seed))
+    return fitter.start(replay, near.best[None], fit.scatter)
+
+
+def _search(
+    fitter: Fitter, replay: Replay, columns: Columns, guesses: Array, scatter: Scatter, rng: np.random.Generator
 ) -> Fit:
-    """Rounds of samples, from one place on; `place` makes free parameters (S, D) of coordinates (S, k)."""
-    size, total = len(middle), ROUNDS * samples
-    sobol = qmc.Sobol(size, seed=seed)  # pyright: ignore[reportCallIssue]  (its stubs know the newer name alone)
-    draws = norm.ppf(sobol.random(1 << (total - 1).bit_length())[:total])
-    at, widths = middle[None], np.full(size, width)
-    cost = np.array([spread(fitter.residuals_at(replay, place(at))[0], scatter.floor)])
-    for part in draws.reshape(ROUNDS, samples, size):
-        new = middle + widths * part
-        found = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, place(new))]
-        at, cost = np.concatenate([at, new]), np.concatenate([cost, found])
-        elite = at[np.argsort(cost, kind="stable")[: max(ELITE, samples // 4)]]
-        middle, widths = elite.mean(0), np.maximum(elite.std(0, ddof=1), _NARROW * widths)
-    return fitter.start(replay, place(at[[int(np.argmin(cost))]]), scatter)
+    chart, few = Chart(replay), _few(fitter)
+    places, widths = _look(few, replay, chart, columns, guesses, scatter.floor, rng)
+    rough = []
+    for place in places:
+        found = Gathering(few, replay, chart, scatter.floor, place, columns)
+        found.rounds(ROUGH, widths, rng)
+        rough.append(found.best)
+    costs = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, np.array(rough))]
+    every = np.arange(replay.nfree)
+    first = np.full(len(every), _BASE)
+    first[columns] = widths
+    found = Gathering(fitter, replay, chart, scatter.floor, rough[int(np.argmin(costs))], every)
+    found.rounds(FINE, _FINER * first, rng)
+    return fitter.start(replay, found.best[None], scatter)
 
 
-class _Away:
-    """Values as logarithms: of themselves where they span decades, else of their distance from neutral."""
+def _few(fitter: Fitter) -> Fitter:
+    windows = fitter.windows
+    some = np.unique(np.linspace(0, len(windows) - 1, FEW).round().astype(int))
+    return replace(fitter, windows=windows[some])
 
-    def __init__(self, zero: Array, sign: Array) -> None:
-        self.zero, self.sign = zero, sign
 
-    @classmethod
-    def of(cls, effect: Effect, values: Array) -> _Away:
-        """On the side of neutral where the values are."""
-        plain = [0.0 if q.log or not np.isfinite(q.neutral) else q.neutral for q in effect.quantities]
-        return cls(np.array(plain), np.where(values >= plain, 1.0, -1.0))
+def _look(
+    few: Fitter,
+    replay: Replay,
+    chart: Chart,
+    columns: Columns,
+    guesses: Array,
+    floor: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Values all over the bounds of some parameters: the best places (K, D), and how far apart looks are (k,)."""
+    k = len(columns)
+    count = min(LOOKS * k, MOST_LOOKS)
+    low, span = chart.low[columns], (chart.high - chart.low)[columns]
+    costs = [spread(r, floor) for r in few.residuals_at(replay, guesses)]
+    at = np.tile(chart.inward(guesses[int(np.argmin(costs))]), (count, 1))
+    at[:, columns] = low + span * _even(count, k, rng)
+    costs += [spread(r, floor) for r in few.residuals_at(replay, chart.outward(at))]
+    at = np.concatenate([chart.inward(guesses), at])
+    apart = span / count ** (1 / k)
+    chosen: list[int] = []
+    for i in np.argsort(costs, kind="stable"):
+        if all((np.abs(at[i] - at[j])[columns] > 1.5 * apart).any() for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == KEPT:
+            break
+    return chart.outward(at[chosen]), apart
 
-    def inward(self, values: Array) -> Array:
-        return np.log(np.maximum(np.abs(values - self.zero), 1e-12))
 
-    def outward(self, logs: Array) -> Array:
-        return self.zero + self.sign * np.exp(logs)
+def _even(count: int, size: int, rng: np.random.Generator) -> Array:
+    """Points spread evenly over the unit cube (count, size), shifted at random."""
+    if size == 1:
+        points = np.arange(count)[:, None] / count
+    else:
+        points = qmc.Sobol(size, scramble=False).random(1 << (count - 1).bit_length())[:count]
+    return (points + rng.random(size)) % 1.0

@@ -13,7 +13,7 @@ from nfpde.effects import Effect
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.search import NEAR, search
+from nfpde.gap.search import search_near
 from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
@@ -95,10 +95,8 @@ class Selection:
         """The accepted effects and the parameters fitted once more, all slopes renewed at every step."""
         fit = self.court.settle(trial.fit, iterations=6)
         if any(e.whole == "contact" for e, _ in self.candidates):  # slopes mislead: look about the values too
-            for index in range(len(fit.replay.effects)):
-                found = search(self.court.fitter, fit.replay, index, fit.xi[None], fit.scatter, NEAR)
-                found = self.court.settle(found, rounds=1)
-                fit = found if found.cost < fit.cost else fit
+            found = self.court.settle(search_near(self.court.fitter, fit), rounds=1)
+            fit = found if found.cost < fit.cost else fit
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
