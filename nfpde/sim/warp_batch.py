@@ -151,9 +151,9 @@ class WarpBatch:
             if self._graph is None:
                 # kernels are loaded by their first launch, which a capture cannot hold
                 self._begin()
-                self._control_step()
+                self._control_step(1)
                 with wp.ScopedCapture() as capture:
-                    self._control_step()
+                    self._control_step(self.sizes.nsub)
                 self._graph = capture.graph
             self._begin()
             if self._derivation is None and self._constants is not None:
@@ -253,9 +253,9 @@ class WarpBatch:
             )
             self._effects.change_commands(self._elements, self._staged, self._signal)
 
-    def _control_step(self) -> None:
+    def _control_step(self, nsub: int) -> None:
         z = self.sizes
-        for k in range(z.nsub):
+        for k in range(nsub):
             self._physics_step(k)
         self._store()
         self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted)
