@@ -7,6 +7,7 @@ import torch
 
 import nfpde
 from nfpde.bench import losses
+from nfpde.bench.gap.robots import MODELS
 from nfpde.benchmarks import ROBOTS
 from nfpde.effects import effect
 from nfpde.errors import BadInput
@@ -15,7 +16,7 @@ from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_device import has_cuda
-from tests.models import BALL, DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows, record, with_arrays
+from tests.models import BALL, DOUBLE_PENDULUM, PENDULUM, load, make_windows, record, with_arrays
 
 # Squared one-step difference, qpos and qvel together, of MuJoCo Warp's float32 from MuJoCo's float64, over 760 random
 # steps of each of these robots, until they fall: at most 3e-7, half of them below 3e-10. (On the ground, where six
@@ -102,7 +103,7 @@ def test_windows_of_many_steps(sim):
     np.testing.assert_allclose(sim.predict(xi, windows), sim.reference.predict(xi, windows), atol=2e-5)
 
 
-@pytest.mark.parametrize("xml", [BALL, FREE_BOX])
+@pytest.mark.parametrize("xml", [BALL, (MODELS / "rover.xml").read_text()])
 def test_quaternions(xml):
     """Differences of rotations are taken as the twin takes them, with targets turned by any angle."""
     field = Parameter("opt.gravity", None, -11.0, -9.0, component=2)
