@@ -124,7 +124,7 @@ def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Arra
         fit = found if found.cost < fit.cost else fit
     court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
     nominal = start.residuals(guesses[:1], recordings.held, recordings.horizons)[0]
-    fit = fitter.rescale(fit, court.scatter(fit))
+    fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
     return nominal, court.judge(None, fit), court
 
 

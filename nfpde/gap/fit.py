@@ -26,6 +26,15 @@ keep what the recordings say nothing about from wandering."""
 
 _DAMPINGS = np.array([0.1, 10.0])
 
+_KEPT_WORD = 0.5
+"""Share of the gain that slopes foretell, by which a step must at least improve for them to be used again."""
+
+_LAST = 1e-2
+"""Nats below which a step is not worth taking."""
+
+_ROUGHLY = 1e-3
+"""The same as a share of what has been gained, where the slopes need not be those of the place."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -37,6 +46,8 @@ class Fit:
     residuals: of the fit's windows (N, nv, C)
     slopes: of the residuals by each parameter, in shares of its bounds (D, N, nv, C)
     information: in shares of the bounds (D, D)
+    fresh: slopes from this parameter on are those of this place; D where none are
+    known: whether slopes were ever taken, here or nearby
     """
 
     replay: Replay
@@ -46,6 +57,8 @@ class Fit:
     residuals: Array
     slopes: Array
     information: Array
+    fresh: int
+    known: bool = False
 
     @property
     def standard_errors(self) -> Array:
@@ -81,7 +94,13 @@ class Fitter:
         best = int(np.argmin(costs))
         d = replay.nfree
         empty = np.zeros((d, *residuals.shape[1:]))
-        return Fit(replay, self._xi(replay, u[best]), costs[best], scatter, residuals[best], empty, np.eye(d))
+        return Fit(replay, self._xi(replay, u[best]), costs[best], scatter, residuals[best], empty, np.eye(d), d)
+
+    def best(self, replay: Replay, guesses: Array, scatter: Scatter, count: int) -> Array:
+        """The best `count` of several guesses (G, D), best first."""
+        u = self._inside(replay, guesses)
+        costs = [self._cost(row, r, scatter) for row, r in zip(u, self._residuals(replay, u), strict=True)]
+        return guesses[np.argsort(costs, kind="stable")[:count]]
 
     def residuals_at(self, replay: Replay, xi: Array) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds."""
@@ -93,51 +112,67 @@ class Fitter:
         return replace(fit, scatter=scatter, cost=self._cost(u, fit.residuals, scatter))
 
     def improve(self, fit: Fit, iterations: int, kept: int = 0) -> Fit:
-        """Up to `iterations` steps; stops when a step promises less than a hundredth of a nat.
+        """Up to `iterations` steps; stops when a step promises next to nothing.
 
-        The slopes of the first `kept` parameters stay as they are: an effect that was added hardly changes those of
-        the base, and a step that they spoil is not taken.
+        Slopes are carried along from step to step (Broyden, Math. Comp. 1965), and taken anew where they mislead and
+        before they say that nothing is left to gain. Those of the first `kept` parameters are taken from the fit until
+        they mislead: an effect that was added hardly changes those of the base. With some kept, the end need not be
+        exact.
         """
-        damping = 1e-2
-        for _ in range(iterations if fit.replay.nfree else 0):
-            fit = self.linearise(fit, kept)
+        d, first = fit.replay.nfree, fit.cost
+        damping, steps, renew = 1e-2, 0, d if fit.known else kept
+        while steps < iterations and d:
+            fit = self.linearise(fit, renew)
+            settled = fit.fresh == 0 or kept > 0
             u = self._inside(fit.replay, fit.xi[None])[0]
             gradient = self._gradient(fit, u)
             trials = [self._trial(fit, u, gradient, damping * factor) for factor in _DAMPINGS]
             promise = float(np.max([-gradient @ (t - u) for t in trials]))
-            if promise < 1e-2:
-                break
+            if promise < max(_LAST, _ROUGHLY * (first - fit.cost) if kept else 0.0):
+                if settled:
+                    break
+                renew = 0
+                continue
+            steps += 1
             residuals = self._residuals(fit.replay, np.array(trials))
             costs = [self._cost(t, r, fit.scatter) for t, r in zip(trials, residuals, strict=True)]
             best = int(np.argmin(costs))
-            if costs[best] >= fit.cost:
+            gain, move = fit.cost - costs[best], trials[best] - u
+            if gain <= 0:
+                if fit.fresh > 0:
+                    renew = 0
+                    continue
                 damping *= 30.0
                 if damping > 1e6:
                     break
                 continue
-            small = fit.cost - costs[best] < 1e-2
+            foretold = float(-gradient @ move - 0.5 * move @ fit.information @ move)
+            slopes = _carried(fit, move, residuals[best] - fit.residuals)
             xi = self._xi(fit.replay, trials[best])
-            fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best])
+            fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
             damping = max(damping * _DAMPINGS[best] * 0.3, 1e-9)
-            if small:
+            renew = d if gain >= _KEPT_WORD * foretold else kept
+            if gain < _LAST and settled:
                 break
         return fit
 
     def linearise(self, fit: Fit, kept: int = 0) -> Fit:
         """Slopes and information at the fit's place; the slopes of the first `kept` parameters stay as they are."""
         d = fit.replay.nfree
-        u = self._inside(fit.replay, fit.xi[None])[0]
-        sign = np.where(u > 0.5, -1.0, 1.0)[kept:]
-        slopes = fit.slopes.copy()
-        if d > kept:
-            step = sign * np.clip(RESOLVED / np.sqrt(np.diag(fit.information)[kept:]), STEP, WIDEST)
-            moved = self._residuals(fit.replay, u + step[:, None] * np.eye(d)[kept:])
-            slopes[kept:] = (moved - fit.residuals) / step[:, None, None, None]
+        anew = slice(kept, max(fit.fresh, kept))
+        slopes, fresh = fit.slopes, min(fit.fresh, kept)
+        if anew.stop > kept:
+            u = self._inside(fit.replay, fit.xi[None])[0]
+            sign = np.where(u > 0.5, -1.0, 1.0)[anew]
+            step = sign * np.clip(RESOLVED / np.sqrt(np.diag(fit.information)[anew]), STEP, WIDEST)
+            moved = self._residuals(fit.replay, u + step[:, None] * np.eye(d)[anew])
+            slopes = slopes.copy()
+            slopes[anew] = (moved - fit.residuals) / step[:, None, None, None]
             slopes[~np.isfinite(slopes)] = 0.0
         weight = fit.scatter.weights(fit.scatter.whiten(fit.residuals))
         white = _whiten_slopes(fit.scatter, slopes)
         information = np.einsum("dnvc,nv,envc->de", white, weight, white, optimize=True) + np.eye(d) / PRIOR**2
-        return replace(fit, slopes=slopes, information=information)
+        return replace(fit, slopes=slopes, information=information, fresh=fresh, known=True)
 
     def _gradient(self, fit: Fit, u: Array) -> Array:
         white = fit.scatter.whiten(fit.residuals)
@@ -177,3 +212,10 @@ class Fitter:
 
 def _whiten_slopes(scatter: Scatter, slopes: Array) -> Array:
     return np.stack([slopes[:, :, d] @ n.whitener for d, n in enumerate(scatter.noises)], axis=2)
+
+
+def _carried(fit: Fit, move: Array, change: Array) -> Array:
+    """Slopes changed as little as explains how a step changed the residuals, parameters in their standard errors."""
+    weight = np.diag(fit.information) * move
+    missed = np.nan_to_num(change - np.tensordot(move, fit.slopes, 1), nan=0.0, posinf=0.0, neginf=0.0)
+    return fit.slopes + (weight / float(weight @ move))[:, None, None, None] * missed

@@ -92,11 +92,12 @@ class Selection:
         return (self._polish(current) if accepted else current), accepted
 
     def _polish(self, trial: Trial) -> Trial:
-        """The accepted effects and the parameters fitted once more, all slopes renewed at every step."""
+        """The accepted effects and the parameters fitted once more, to the end."""
         fit = self.court.settle(trial.fit, iterations=6)
         if any(e.whole == "contact" for e, _ in self.candidates):  # slopes mislead: look about the values too
             found = self.court.settle(search_near(self.court.fitter, fit), rounds=1)
             fit = found if found.cost < fit.cost else fit
+        fit = self.court.fitter.linearise(fit)
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
@@ -132,6 +133,7 @@ class Selection:
         if len(open_ones) > MANY:
             glanced = screen(*self.court.screening(base, GLANCED), open_ones, replay_with)[:MANY]
             kept = {key(s.effect) for s in glanced}
+            kept |= {key(e) for e, _ in open_ones if e.whole == "contact"}  # screening sees but part of what they do
             open_ones = [(e, values) for e, values in open_ones if key(e) in kept]
         screened = screen(*self.court.screening(base), open_ones, replay_with)
         self.report(f"refitting with effect {len(taken) + 1}")

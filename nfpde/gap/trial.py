@@ -36,8 +36,11 @@ candidates that much comes by chance, and more is needed where no fit saw the da
 SCREENED = 60
 """Windows that candidates are screened on."""
 
-GLANCED, MANY = 20, 60
+GLANCED, MANY = 20, 24
 """Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
+
+GUESSES = 3
+"""Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
@@ -102,8 +105,8 @@ class Court:
         """Refit the candidates that screening likes best; most held-out density first."""
         if not screened:
             return []
-        hopeful = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
-        some, part = self.screening(base)
+        hopeful = _hopeful(screened)
+        few, some, part = self.screening(base, GLANCED)[0], *self.screening(base)
         # without the effect the parameters may have been bent far from the truth to stand in for it
         straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
         rough = []
@@ -115,15 +118,16 @@ class Court:
             if s.effect.whole == "contact":
                 fit = search(some, s.replay, len(s.replay.effects) - 1, guesses, part.scatter)
             else:
-                fit = some.start(s.replay, guesses, part.scatter)
+                fit = some.start(s.replay, few.best(s.replay, guesses, part.scatter, GUESSES), part.scatter)
                 fit.slopes[: len(base.xi)] = part.slopes
                 fit = some.improve(fit, 2, kept=len(base.xi))
             fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)
+            fit.slopes[: len(base.xi)] = base.slopes
             fit = self.fitter.rescale(fit, self.scatter(fit))
             if base.cost - fit.cost > LEAST_GAIN:
                 rough.append((s, fit))
         rough.sort(key=lambda pair: pair[1].cost)
-        close = [(s, self.fitter.improve(fit, 2)) for s, fit in rough[:SECOND]]
+        close = [(s, self.fitter.improve(fit, 2, kept=len(base.xi))) for s, fit in rough[:SECOND]]
         most = max((base.cost - fit.cost for _, fit in close), default=0.0)
         trials = []
         for s, fit in close:
@@ -135,6 +139,12 @@ class Court:
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
         return block_test(better.density - base.density, self.recordings.block)
+
+
+def _hopeful(screened: Sequence[Screened]) -> list[Screened]:
+    """Those that could explain enough, and what contacts may do: at other sizes that is more than screening can see."""
+    enough = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
+    return enough + [s for s in screened if s.effect.whole == "contact" and s.change.any() and s not in enough]
 
 
 def block_test(gain: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:
