@@ -1,5 +1,7 @@
 """WarpSimulator on Warp's CPU device against MujocoSimulator, its twin in double precision."""
 
+import weakref
+
 import mujoco
 import numpy as np
 import pytest
@@ -152,6 +154,17 @@ def test_the_trainer_takes_losses_where_they_are(sim, monkeypatch):
     config = NfpdeConfig(iterations=2, samples=8, transitions=4, gradient_steps=1, transforms=1, hidden=4)
     result = nfpde.fit(sim, record(sim.model, 2, 6, 2), method="softmax", config=config, quiet=True)
     assert len(result.history) == 2
+
+
+def test_buffers_can_be_given_back():
+    """Nothing is kept after `release`, and the same losses come from new buffers."""
+    sim = arm()
+    windows, xi = make_windows(sim.model, 5, 3), vectors(sim, 4)
+    before = sim.losses(xi, windows, np.ones(4))
+    buffers = weakref.ref(next(iter(sim._batches.values())))
+    sim.release()
+    assert buffers() is None
+    np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
 
 
 def test_any_pairs_in_any_order(sim):

@@ -9,10 +9,21 @@ import pytest
 from nfpde.bench import devices, losses_warp
 from nfpde.bench.estimation.calibration import CalibrationSettings, problem
 from nfpde.bench.estimation.cell import facts_of_device
+from nfpde.bench.partial import Partial
 from nfpde.benchmarks import robot
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, TrajectoryConfig
 from nfpde.sim.warp import WarpSimulator
+
+
+def in_this_process(folder):
+    """What measures a robot here, where tests can reach it."""
+
+    def measured(robot, device, quick):
+        losses_warp.measure(robot.name, device, quick, str(folder / "rows.json"))
+        return json.loads((folder / "rows.json").read_text())
+
+    return measured
 
 
 def test_the_table_and_the_file(monkeypatch, tmp_path, capsys):
@@ -22,6 +33,7 @@ def test_the_table_and_the_file(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(losses_warp, "VECTORS", 4)
     monkeypatch.setattr(losses_warp, "TINY_SIZES", (4, 24))
     monkeypatch.setattr(losses_warp, "_starts", lambda *_, cold: {"warm": 1.0})
+    monkeypatch.setattr(losses_warp, "_in_its_own_process", in_this_process(tmp_path))
     calls = []
     original = WarpSimulator.losses
     monkeypatch.setattr(
@@ -42,6 +54,41 @@ def test_the_table_and_the_file(monkeypatch, tmp_path, capsys):
     assert "nfpde bench losses --device warp-cpu --quick" in table
     assert "hopper warm 1.0 s" in table
     assert table in capsys.readouterr().out
+    assert not list(tmp_path.glob("*.part.json"))
+
+
+def test_a_table_that_was_stopped_goes_on(monkeypatch, tmp_path, capsys):
+    """Robots that were measured are not measured again, until the table is whole or something else is measured."""
+    monkeypatch.setattr(losses_warp, "ROBOTS", {n: robot(n) for n in ("hopper", "walker2d")})
+    monkeypatch.setattr(losses_warp, "_starts", lambda *_, cold: {"cold" if cold else "warm": 1.0})
+    measured = []
+
+    def measure(robot, device, quick):
+        measured.append(robot.name)
+        if measured == ["hopper", "walker2d"]:
+            raise KeyboardInterrupt
+        rows = [sized(0.95, 1e6, 90) | {"robot": robot.name, "pairs": 1, "bare_per_second": 1.0, "cpu_per_second": 1.0}]
+        return {"rows": rows, "device": "a card"}
+
+    monkeypatch.setattr(losses_warp, "_in_its_own_process", measure)
+    with pytest.raises(KeyboardInterrupt):
+        losses_warp.run(False, tmp_path, "warp-cpu")
+    losses_warp.run(False, tmp_path, "warp-cpu")
+    assert measured == ["hopper", "walker2d", "walker2d"]
+    assert "going on from" in capsys.readouterr().out
+    facts = json.loads((tmp_path / "losses_warp-cpu.json").read_text())
+    assert [row["robot"] for row in facts["rows"]] == ["hopper", "walker2d"]
+    assert facts["start_seconds"] == {"hopper": {"cold": 1.0}, "walker2d": {"warm": 1.0}}
+    losses_warp.run(False, tmp_path, "warp-cpu")
+    assert measured[3:] == ["hopper", "walker2d"]
+
+
+def test_parts_of_another_measurement_are_not_taken(tmp_path):
+    """Another version, device or command begins anew."""
+    path = tmp_path / "table.part.json"
+    assert Partial(path, {"version": 1}).get("a", lambda: 1) == 1
+    assert Partial(path, {"version": 1}).get("a", lambda: 2) == 1
+    assert Partial(path, {"version": 2}).get("a", lambda: 2) == 2
 
 
 def test_other_devices_are_refused(tmp_path):
@@ -56,8 +103,8 @@ def test_a_problem_of_the_calibration_on_both_devices():
     here, there = (problem("pendulum", False, settings, 0, device) for device in ("cpu", "warp-cpu"))
     assert here["true"] == there["true"]
     apart = np.abs(np.array(there["value"]) - here["value"])
-    # in its last round either fit moves by a tenth of a standard deviation at most
-    assert (apart < 0.2 * np.array(here["std"])).all()
+    # single precision moves no estimate by what its recordings could tell
+    assert (apart < 0.05 * np.array(here["std"])).all()
 
 
 def test_a_file_says_where_its_fits_were_simulated():

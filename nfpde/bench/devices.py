@@ -22,6 +22,7 @@ from nfpde.bench import losses_warp
 from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.store import write_public
+from nfpde.bench.partial import Partial
 from nfpde.benchmarks import collect, robot
 from nfpde.dataset import Dataset, load_dataset
 from nfpde.errors import BadInput
@@ -72,6 +73,8 @@ QUICK = Sizes(
 def run(quick: bool, out: Path, device: Device) -> None:
     """Measure, print the tables and write devices_<device>.md and .json, and those of the losses.
 
+    Where the command is stopped, the same one goes on.
+
     Args:
         quick: tiny sizes.
         out: folder for the tables.
@@ -82,15 +85,8 @@ def run(quick: bool, out: Path, device: Device) -> None:
     """
     if device not in ("cuda", "warp-cpu"):
         raise BadInput(f"device is {device!r}; this table sets cuda or warp-cpu beside the cpu")
-    losses_warp.run(quick, out, device)
     sizes = QUICK if quick else Sizes()
     body = robot(ROBOT)
-    clean, truth = collect(body, "mixture", episodes=sizes.episodes, steps=sizes.steps, seed=SEED)
-    data, _ = with_noise(body.model, clean, NOISE, SEED)
-    rows = [_fit_row("trajectory", data, truth, sizes.trajectory, device)]
-    rows += [_fit_row("softmax", data, truth, sizes.softmax, device)]
-    systems = sizes.systems if device == "cuda" else 0
-    rows += [_diagnosis_row(index, sizes.windows, device) for index in range(systems)]
     simulators = [make_simulator(body.path, body.space, device=d, check_influence=False) for d in both(device)]
     facts = {
         "command": f"nfpde bench devices --device {device}" + (" --quick" if quick else ""),
@@ -100,12 +96,27 @@ def run(quick: bool, out: Path, device: Device) -> None:
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "versions": {n: version(n) for n in ("nfpde", "mujoco", "mujoco_warp", "warp-lang", "torch", "numpy")},
     }
+    out.mkdir(parents=True, exist_ok=True)
+    record = out / (f"devices_{device}" + ("_quick" if quick else ""))
+    partial = Partial(record.with_suffix(".part.json"), facts)
+    partial.get("losses", lambda: losses_warp.run(quick, out, device))
+    clean, truth = collect(body, "mixture", episodes=sizes.episodes, steps=sizes.steps, seed=SEED)
+    data, _ = with_noise(body.model, clean, NOISE, SEED)
+    parts: dict[str, Callable[[], dict[str, Any]]] = {
+        "trajectory": lambda: _fit_row("trajectory", data, truth, sizes.trajectory, device),
+        "softmax": lambda: _fit_row("softmax", data, truth, sizes.softmax, device),
+    }
+    for index in range(sizes.systems if device == "cuda" else 0):
+        parts[f"diagnosis {index}"] = lambda index=index: _diagnosis_row(index, sizes.windows, device)
+    rows = []
+    for name, measure in parts.items():
+        rows.append(partial.get(name, measure))
+        print(_line(rows[-1]), flush=True)
     text = _table(rows, facts)
     print("\n" + text)
-    out.mkdir(parents=True, exist_ok=True)
-    record = f"devices_{device}" + ("_quick" if quick else "")
-    write_whole(out / f"{record}.json", json.dumps({**facts, "rows": rows}, indent=1) + "\n")
-    write_whole(out / f"{record}.md", text)
+    write_whole(record.with_suffix(".json"), json.dumps({**facts, "rows": rows}, indent=1) + "\n")
+    write_whole(record.with_suffix(".md"), text)
+    partial.finish()
 
 
 def both(device: Device) -> tuple[Device, Device]:
@@ -177,6 +188,11 @@ def _timed(way: Callable[[], Any]) -> tuple[Any, float]:
     return way(), time.perf_counter() - begin
 
 
+def _line(row: dict[str, Any]) -> str:
+    (a, b), answers = row["seconds"], " | ".join(row["answers"])
+    return f"| {row['what']} | {a:.1f} | {b:.1f} | {a / b:.2f} | {answers} | {row['apart']} |"
+
+
 def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in facts["versions"].items())
     return "\n".join(
@@ -191,11 +207,7 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             "| what | A, s | B, s | A / B | answer of A | answer of B | apart |",
             "|---|---|---|---|---|---|---|",
-            *(
-                f"| {r['what']} | {r['seconds'][0]:.1f} | {r['seconds'][1]:.1f} "
-                f"| {r['seconds'][0] / r['seconds'][1]:.2f} | {r['answers'][0]} | {r['answers'][1]} | {r['apart']} |"
-                for r in rows
-            ),
+            *map(_line, rows),
             "",
         ]
     )

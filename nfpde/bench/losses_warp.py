@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 
 from nfpde.bench.losses import SEED, _record
+from nfpde.bench.partial import Partial
 from nfpde.benchmarks import ROBOTS, Robot
 from nfpde.dataset import Windows
 from nfpde.errors import BadInput
 from nfpde.sim import Device, MujocoSimulator, make_simulator, runs_on
+from nfpde.storage import write_whole
 
 VECTORS = 100
 """Parameter vectors of one call; the windows make up the rest of the pairs."""
@@ -41,6 +43,14 @@ CPU_PAIRS = 20_000
 SHARE, MANY, ROOM = 0.9, 30_000, 1.2
 """What is wanted: see `_verdicts`."""
 
+LONG = 20.0
+"""Seconds after which a call is not repeated again, if it was three times."""
+
+MEASURE = """
+from nfpde.bench.losses_warp import measure
+measure({robot!r}, {device!r}, {quick!r}, {path!r})
+"""
+
 START = """
 import time
 begin = time.perf_counter()
@@ -54,6 +64,8 @@ print(time.perf_counter() - begin)
 def run(quick: bool, out: Path, device: Device) -> None:
     """Measure, print a table and write it to losses_<device>.md and .json.
 
+    Robots are measured in turn; where the command is stopped, the same one goes on with the next.
+
     Args:
         quick: fewer sizes and repeats.
         out: folder for the tables.
@@ -66,36 +78,62 @@ def run(quick: bool, out: Path, device: Device) -> None:
         raise BadInput(f"device is {device!r}; this table is of cuda or warp-cpu")
     from nfpde.sim.warp_device import open_device
 
-    open_device(device)  # refuses before anything is measured
-    sizes = TINY_SIZES if device == "warp-cpu" else QUICK_SIZES if quick else SIZES
-    repeats = 3 if quick else 7
-    rows, starts, card = [], {}, ""
-    for robot in ROBOTS.values():
-        starts[robot.name] = _starts(robot, device, cold=not quick)
-        windows = _record(robot).transitions()
-        sim = make_simulator(robot.model, robot.space, device=device, check_influence=False)
-        card = runs_on(sim)
-        cpu = MujocoSimulator(robot.model, robot.space, check_influence=False)
-        for size in sizes:
-            rows.append(_row(robot, sim, cpu, windows, size, repeats))
-            print(_line(rows[-1]), flush=True)
+    card = open_device(device).name  # refuses before anything is measured
     facts = {
         "command": f"nfpde bench losses --device {device}" + (" --quick" if quick else ""),
         "device": card,
         "seed": SEED,
         "vectors": VECTORS,
-        "repeats": repeats,
+        "repeats": _repeats(quick),
         "cores": len(os.sched_getaffinity(0)),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "versions": {n: version(n) for n in ("nfpde", "mujoco", "mujoco_warp", "warp-lang", "numpy")},
-        "start_seconds": starts,
     }
-    table = _table(rows, facts)
-    print("\n" + table)
     out.mkdir(parents=True, exist_ok=True)
     record = out / (f"losses_{device}" + ("_quick" if quick else ""))
-    record.with_suffix(".json").write_text(json.dumps({**facts, "rows": rows}, indent=1), encoding="utf-8")
-    record.with_suffix(".md").write_text(table, encoding="utf-8")
+    partial = Partial(record.with_suffix(".part.json"), facts)
+    rows, starts = [], {}
+    for robot in ROBOTS.values():
+        found = partial.get(robot.name, lambda robot=robot: _in_its_own_process(robot, device, quick))
+        rows += found["rows"]
+        facts["device"] = found["device"]
+        # without compiled kernels only once: they take as long for every robot
+        cold = not quick and not starts
+        starts[robot.name] = partial.get(
+            f"start of {robot.name}", lambda robot=robot, cold=cold: _starts(robot, device, cold=cold)
+        )
+    facts["start_seconds"] = starts
+    table = _table(rows, facts)
+    print("\n" + table)
+    write_whole(record.with_suffix(".json"), json.dumps({**facts, "rows": rows}, indent=1))
+    write_whole(record.with_suffix(".md"), table)
+    partial.finish()
+
+
+def measure(robot: str, device: Device, quick: bool, path: str) -> None:
+    """Measure all sizes of a robot, print them, and write them to a file as JSON."""
+    known = ROBOTS[robot]
+    windows = _record(known).transitions()
+    sim = make_simulator(known.model, known.space, device=device, check_influence=False)
+    cpu = MujocoSimulator(known.model, known.space, check_influence=False)
+    rows = []
+    for size in TINY_SIZES if device == "warp-cpu" else QUICK_SIZES if quick else SIZES:
+        rows.append(_row(known, sim, cpu, windows, size, _repeats(quick)))
+        print(_line(rows[-1]), flush=True)
+    write_whole(Path(path), json.dumps({"rows": rows, "device": runs_on(sim)}))
+
+
+def _in_its_own_process(robot: Robot, device: Device, quick: bool) -> dict[str, Any]:
+    """What `measure` writes; the most memory that was used is known of a whole process only."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rows.json"
+        code = MEASURE.format(robot=robot.name, device=device, quick=quick, path=str(path))
+        subprocess.run([sys.executable, "-c", code], check=True)
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _repeats(quick: bool) -> int:
+    return 3 if quick else 7
 
 
 def start(robot: str, device: Device) -> None:
@@ -107,15 +145,13 @@ def start(robot: str, device: Device) -> None:
 
 
 def _starts(robot: Robot, device: Device, cold: bool) -> dict[str, float]:
-    """Seconds to the first losses of a fresh process, without (cold) and with (warm) compiled kernels."""
+    """Seconds to the first losses of a fresh process, with compiled kernels (warm), and without (cold)."""
     command = [sys.executable, "-c", START.format(robot=robot.name, device=device)]
-    found = {}
     with tempfile.TemporaryDirectory() as folder:
-        own_cache = {**os.environ, "WARP_CACHE_PATH": folder}
-        for name, env in (("cold", own_cache), ("warm", own_cache)) if cold else (("warm", dict(os.environ)),):
-            done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
-            found[name] = float(done.stdout.split()[-1])
-    return found
+        env = {**os.environ, "WARP_CACHE_PATH": folder} if cold else dict(os.environ)
+        done = [subprocess.run(command, env=env, capture_output=True, text=True, check=True) for _ in range(2)]
+    first, second = (float(d.stdout.split()[-1]) for d in done)
+    return {"cold": first, "warm": second} if cold else {"warm": second}
 
 
 def _row(robot: Robot, sim: Any, cpu: MujocoSimulator, windows: Windows, size: int, repeats: int) -> dict[str, Any]:
@@ -128,7 +164,8 @@ def _row(robot: Robot, sim: Any, cpu: MujocoSimulator, windows: Windows, size: i
     chosen = windows[np.arange(size // vectors) % len(windows)]
     fewer = chosen[np.arange(min(len(chosen), max(1, CPU_PAIRS // vectors)))]
     seconds = _seconds(lambda: sim.losses(xi, chosen, scale), repeats)
-    taken = sim.usage()
+    taken, used = sim.usage(), used_bytes(sim)
+    sim.release()
     bare = _seconds(bare_stepping(sim, windows, taken.nworld), repeats)
     on_cpu = _seconds(lambda: cpu.losses(xi, fewer, scale), min(3, repeats))
     rate, bare_rate = vectors * len(chosen) / seconds, taken.nworld / bare
@@ -141,17 +178,17 @@ def _row(robot: Robot, sim: Any, cpu: MujocoSimulator, windows: Windows, size: i
         "share_of_bare": rate / bare_rate,
         "cpu_per_second": vectors * len(fewer) / on_cpu,
         "predicted_bytes": taken.nbytes,
-        "measured_bytes": used_bytes(sim),
+        "measured_bytes": used,
         "nconmax": taken.nconmax,
         "njmax": taken.njmax,
     }
 
 
 def _seconds(way: Callable[[], object], repeats: int) -> float:
-    """Median wall time of a call, after one that is not counted."""
+    """Median wall time of a call, after one that is not counted; of long calls, three."""
     way()
-    found = []
-    for _ in range(repeats):
+    found: list[float] = []
+    while len(found) < repeats and (len(found) < 3 or sum(found) < LONG):
         begin = time.perf_counter()
         way()
         found.append(time.perf_counter() - begin)
@@ -200,7 +237,7 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             f"# Prediction losses on {facts['device']}",
             "",
             f"`{facts['command']}`, seed {facts['seed']}, {facts['vectors']} parameter vectors, median of "
-            f"{facts['repeats']} calls; {versions}; {facts['machine']}, {facts['cores']} CPU core(s).",
+            f"{facts['repeats']} calls (3 of long ones); {versions}; {facts['machine']}, {facts['cores']} CPU core(s).",
             "",
             "One evaluation: set a recorded state and command, take one control step (4 or 5 physics steps), add up",
             "the loss; wall clock, from parameters in the host's memory to losses there. Bare: MuJoCo Warp's step",

@@ -85,6 +85,7 @@ class WarpSimulator(Simulator):
         self.models, self.model = self.reference.models, self.reference.model
         self.effects = self.reference.effects
         self.space, self.states = self.reference.space, self.reference.states
+        self.rounding = float(np.finfo(np.float32).eps)
         self.memory_time, self.jumps = self.reference.memory_time, self.reference.jumps
         self.nworld = nworld
         writer = self.reference.writer
@@ -187,6 +188,11 @@ class WarpSimulator(Simulator):
         """That of the reference, and that it ran in single precision."""
         ours = {"class": type(self).__name__, "mujoco_warp": version("mujoco_warp")}
         return {**self.reference.identity(), **ours}
+
+    def release(self) -> None:
+        """Give the memory of all buffers back; the next call makes them anew."""
+        self._batches.clear()
+        self._whitening = None
 
     def usage(self) -> Usage:
         """What the last call took.
