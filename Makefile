@@ -2,10 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 RUN := runs/demo
+JOBS ?= 2
 export WARP_CACHE_PATH ?= $(CURDIR)/.cache/warp
 RUST := Cargo.toml rust_ot/Cargo.toml $(wildcard rust_ot/src/*.rs)
 
-.PHONY: demo test check bench bench-ot bench-estimation bench-gap format install clean
+.PHONY: demo test check bench bench-ot bench-estimation bench-gap bench-gpu format install clean
 
 demo: install  ## ten recorded Hopper episodes -> distribution -> distance to the truth, about three minutes
 	$(BIN)/nfpde collect hopper --target mixture --episodes 10 --out $(RUN)/data
@@ -14,8 +15,8 @@ demo: install  ## ten recorded Hopper episodes -> distribution -> distance to th
 	$(BIN)/nfpde fit hopper $(RUN)/data --params $(RUN)/data/parameters.toml --method trajectory --out $(RUN)/trajectory
 	$(BIN)/nfpde evaluate $(RUN)/trajectory --truth $(RUN)/data/truth.json
 
-test: install  ## everything that runs on a CPU
-	$(BIN)/python -m pytest
+test: install  ## everything that runs on a CPU, JOBS tests at a time
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 	cargo test --quiet --workspace
 
 check: install  ## style, types, import rules, documentation
@@ -23,7 +24,7 @@ check: install  ## style, types, import rules, documentation
 	$(BIN)/ruff format --check nfpde tests
 	$(BIN)/pyright
 	$(BIN)/python -m mypy.stubtest nfpde._rust_ot
-	$(BIN)/python -m pytest tests/test_architecture.py tests/test_readme.py
+	$(BIN)/python -m pytest tests/test_architecture.py tests/test_readme.py -k "not runs_in_order"
 	cargo fmt --check
 	cargo clippy --quiet --workspace --all-targets -- -D warnings
 
@@ -36,6 +37,10 @@ bench-estimation: install  ## the estimators on all robots, hours; goes on where
 
 bench-gap: install  ## hidden faults against the diagnosis: make bench-gap SEED=<one never tried>
 	$(BIN)/nfpde bench gap --seed $(SEED)
+
+bench-gpu: install  ## twin tests on an NVIDIA GPU, then losses, fits and diagnoses beside the CPU; goes on where it stopped
+	$(BIN)/python -m pytest -m gpu
+	$(BIN)/nfpde bench devices --device cuda
 
 bench: install  ## the tables of docs/results
 	$(BIN)/nfpde bench losses
