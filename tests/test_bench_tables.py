@@ -10,6 +10,8 @@ import torch
 
 from nfpde.bench import fit as fit_bench
 from nfpde.bench import ot as ot_bench
+from nfpde.bench.ot_threads import scaling
+from nfpde.bench.ot_wanted import verdicts
 from nfpde.estimation import NfpdeConfig
 
 torch.set_num_threads(1)
@@ -29,6 +31,50 @@ def test_transport_table_names_peers_versions_and_losses(tmp_path, monkeypatch):
     slower = sum(min(r["seconds"].values()) < r["seconds"]["nfpde"] for r in record["rows"])
     assert f"Slower than a peer in {slower} of 2 cases" in table
     assert "nfpde bench ot --quick" in table
+
+
+def test_what_is_wanted_is_said_with_its_worst_case():
+    """The smallest ratio of all cases and peers decides; time and memory of large cases have limits."""
+    small = {"n": 100, "m": 100, "d": 6, "weights": "uniform"}
+    rows = [
+        {"case": "one", **small, "seconds": {"nfpde": 1.0, "POT": 3.0, "lapx": 1.5, "SciPy": 2.0}},
+        {"case": "two", **small, "seconds": {"nfpde": 1.0, "POT": 3.0, "lapx": 0.5, "SciPy": 2.0}},
+    ]
+    large = [{"case": "big", "weights": "uniform", "seconds": 11.0, "megabytes": 120.0}]
+    lines = verdicts(rows, large)
+    assert "| uniform n=100, 300 | 1x lapjv and lapx and SciPy | 0.50x (lapx, two) | FAIL |" in lines
+    assert "| every case | 1x POT and SciPy | 2.00x (SciPy, one) | pass |" in lines
+    assert "| big | 12 s, 100 MB | 11.0 s, 120 MB | FAIL |" in lines
+    assert len(lines) == 3  # nothing is said of what was not measured
+
+
+def test_threads_are_timed_and_change_no_bit():
+    """A row for each power of two up to the cores; one cost."""
+    x, y, a, b = ot_bench.clouds(ot_bench.Case(60, 50, 3, "gauss", "random"))
+    rows = scaling(x, y, a, b)
+    assert [row["threads"] for row in rows] == [2**k for k in range(len(rows))]
+    assert all(row["seconds"] > 0 and row["same_bits"] for row in rows)
+
+
+def test_transport_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    """A case that was measured before the interruption is not measured again; the file of parts is gone at the end."""
+    cases = [ot_bench.Case(n, n, 2, "gauss", "uniform") for n in (8, 9)]
+    monkeypatch.setattr(ot_bench, "QUICK", cases)
+    measured = []
+
+    def measure(case, peers):
+        measured.append(case.n)
+        if len(measured) == 2:
+            raise KeyboardInterrupt
+        return original(case, peers)
+
+    original = ot_bench._measure
+    monkeypatch.setattr(ot_bench, "_measure", measure)
+    with pytest.raises(KeyboardInterrupt):
+        ot_bench.run(True, tmp_path)
+    ot_bench.run(True, tmp_path)
+    assert measured == [8, 9, 9]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ot_quick.json", "ot_quick.md"]
 
 
 def test_peers_of_another_environment(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
+from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -22,9 +23,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from nfpde import _rust_ot
 from nfpde.bench.footprint import footprint
+from nfpde.bench.ot_table import line, table
+from nfpde.bench.ot_threads import scaling
+from nfpde.bench.partial import Partial
 from nfpde.bench.peers import PACKAGES, Peers
 from nfpde.ot import emd
+from nfpde.storage import write_whole
 
 Array = NDArray[np.float64]
 Solve = Callable[[Array, Array, Array | None, Array | None], float]
@@ -109,6 +115,8 @@ def solvers(case: Case) -> dict[str, Solve]:
 def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
     """Measure every case with interleaved runs, print a table, write it to ot.md and ot.json.
 
+    Where it was stopped, the same command goes on.
+
     Args:
         quick: small cases only.
         out: folder for the tables.
@@ -123,20 +131,23 @@ def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
         | ({"POT": version("POT")} if find_spec("ot") is not None else {})
         | (peers.versions if peers else {}),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "solver": sha256(Path(_rust_ot.__file__).read_bytes()).hexdigest()[:12],
     }
-    rows = []
-    for case in QUICK if quick else FULL:
-        rows.append(_measure(case, peers))
-        print(_line(rows[-1]), flush=True)
-    if peers:
-        peers.close()
-    large = [] if quick else [_measure_alone(case) for case in LARGE]
     out.mkdir(parents=True, exist_ok=True)
     name = "ot_quick" if quick else "ot"
-    (out / f"{name}.json").write_text(json.dumps({**facts, "rows": rows, "large": large}, indent=1))
-    table = _table(rows, large, facts)
-    print(table)
-    (out / f"{name}.md").write_text(table)
+    parts, rows = Partial(out / f"{name}.partial.json", facts), []
+    for case in QUICK if quick else FULL:
+        rows.append(parts.get(str(case), partial(_measure, case, peers)))
+        print(line(rows[-1]), flush=True)
+    if peers:
+        peers.close()
+    large = [] if quick else [parts.get(str(case), partial(_measure_alone, case)) for case in LARGE]
+    threads = [] if quick else [parts.get(f"threads, {case}", partial(_threads, case)) for case in LARGE]
+    write_whole(out / f"{name}.json", json.dumps({**facts, "rows": rows, "large": large, "threads": threads}, indent=1))
+    page = table(rows, large, threads, facts, (SLOW, WARM))
+    print(page)
+    write_whole(out / f"{name}.md", page)
+    parts.finish()
 
 
 def _measure(case: Case, peers: Peers | None) -> dict[str, Any]:
@@ -225,58 +236,6 @@ def _measure_alone(case: Case) -> dict[str, Any]:
     return {"case": str(case), **asdict(case), "seconds": seconds, "megabytes": megabytes}
 
 
-COLUMNS = ("POT", "POT lazy", "SciPy", *PACKAGES)
-
-
-def _line(row: dict[str, Any]) -> str:
-    own = row["seconds"]["nfpde"]
-    cells = [f"{row['seconds'][peer] / own:.1f}x" if peer in row["seconds"] else "" for peer in COLUMNS]
-    return f"| {row['case']} | {1e3 * own:.2f} | {' | '.join(cells)} | {row['apart']:.0e} | {row['repeats']} |"
-
-
-def _large(row: dict[str, Any], rows: list[dict[str, Any]]) -> str:
-    """A line about a case without peers, beside the same case at a quarter of the points."""
-    quarter = [
-        r for r in rows if (r["n"], r["d"], r["kind"], r["weights"]) == (row["n"] // 4, 6, "gauss", row["weights"])
-    ]
-    ratio = f"{row['seconds'] / quarter[0]['seconds']['nfpde']:.1f}" if quarter else ""
-    return f"| {row['case']} | {row['seconds']:.2f} | {ratio} | {row['megabytes']:.0f} |"
-
-
-def _table(rows: list[dict[str, Any]], large: list[dict[str, Any]], facts: dict[str, Any]) -> str:
-    lost = [r["case"] for r in rows if any(t < r["seconds"]["nfpde"] for t in r["seconds"].values())]
-    worst = max(r["apart"] for r in rows)
-    return "\n".join(
-        [
-            "# Exact optimal transport",
-            "",
-            "From points to the exact Euclidean cost, one thread, median CPU time of interleaved runs in one process. "
-            "Peers: how many times longer they take, the distance matrix (SciPy's) included; POT with numItermax=1e9, "
-            f"because its default stops early at large sizes; a peer that takes {SLOW:.0f} s runs once; "
-            f"up to {WARM} points every timed run follows an untimed one of the same solver; "
-            "lapjv, lapx (lapjvr) and Wasserstein in a process of their own, in turn with the others. "
-            "`apart`: largest relative difference of the costs.",
-            "",
-            f"| case | nfpde, CPU ms | {' | '.join(COLUMNS)} | apart | repeats |",
-            "|---" * (len(COLUMNS) + 4) + "|",
-            *map(_line, rows),
-            "",
-            f"Slower than a peer in {len(lost)} of {len(rows)} cases" + (f": {'; '.join(lost)}." if lost else "."),
-            f"All costs agree to {worst:.0e}, relative.",
-            "",
-            *(
-                [
-                    "One solve in a process of its own, without peers:",
-                    "",
-                    "| case | nfpde, CPU s | times n=5000 | peak memory grows by MB |",
-                    "|---|---|---|---|",
-                    *(_large(row, rows) for row in large),
-                    "",
-                ]
-                if large
-                else []
-            ),
-            f"`{facts['command']}`, seed {facts['seed']}; versions {facts['versions']}; {facts['machine']}.",
-            "",
-        ]
-    )
+def _threads(case: Case) -> dict[str, Any]:
+    """Wall seconds by number of threads."""
+    return {"case": str(case), "rows": scaling(*clouds(case))}
