@@ -353,15 +353,14 @@ def test_environments_sac_cannot_use_are_refused():
 
 @pytest.mark.slow
 def test_pendulum_is_solved(tmp_path):
-    """Within about a CPU minute: trained on an estimate of mass and damping, the pendulum is solved in the target."""
+    """Within half a CPU minute: trained on an estimate of mass and damping, the pendulum is solved in the target."""
     space = ParameterSpace(SPACE.parameters[:2])
     z = torch.tensor(space.to_unconstrained([[1.15, 0.11]]))
     estimate = ParameterDistribution(space, GaussianMixture(torch.ones(1), z, 0.1 * torch.eye(2)[None]))
     result = train_sac(
-        "pendulum", estimate, steps=8000, out=tmp_path, target=[1.2, 0.12], nominal_baseline=True, device="cpu"
+        "pendulum", estimate, steps=8000, out=tmp_path, target=[1.2, 0.12], nominal_baseline=False, device="cpu"
     )
     print(result.summary())
-    assert result.baseline is not None
     # starts are anywhere on the circle: always upright earns 150, hanging about 0, swinging to and fro below 75
     before, after = result.before.target, result.after.target
     assert before is not None
