@@ -185,6 +185,19 @@ def test_a_call_leaves_no_trace(sim):
     np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
 
 
+def test_simulators_of_one_model_leave_no_trace_in_each_other(sim):
+    """They share what no parameter changes: another one, whose parameters derive other constants, moves no bit."""
+    windows, xi = make_windows(sim.model, 4, 2), vectors(sim, 3)
+    before = sim.losses(xi, windows, np.ones(4))
+    heavy = ParameterSpace([Parameter("body_mass", "upper", 5.0, 9.0), Parameter("opt.density", None, 10.0, 500.0)])
+    other = WarpSimulator(load(DOUBLE_PENDULUM), heavy, device="warp-cpu", check_influence=False)
+    assert other._model.nominal.dof_parentid.ptr == arm()._model.nominal.dof_parentid.ptr
+    found = other.losses(vectors(other, 3), windows, np.ones(4))
+    np.testing.assert_allclose(found, other.reference.losses(vectors(other, 3), windows, np.ones(4)), rtol=1e-4)
+    np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
+    np.testing.assert_array_equal(arm().losses(xi, windows, np.ones(4)), before)
+
+
 def test_divergence_is_nan_and_the_limit():
     """A spring that pushes its joint over: NaN from one step to the end, the limit as loss, neighbours unharmed."""
     space = ParameterSpace([Parameter("jnt_stiffness", "hinge", -1e6, 1.0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -17,6 +18,7 @@ from nfpde.errors import BadModel
 from nfpde.kernels import rows as kernels
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.fields import get_field
+from nfpde.sim.model import model_hash
 from nfpde.sim.writer import ModelWriter
 
 Array = NDArray[np.float64]
@@ -39,6 +41,9 @@ _LIMITS = {"jnt_actfrclimited": "jnt_actfrcrange", "actuator_forcelimited": "act
 """Switches that all worlds share, and the ranges they switch on; a wide range does what a switch that is off does."""
 
 _WIDE = 1e30
+
+_LAST: dict[tuple[str, str], mjw.Model] = {}
+"""The model that was put on a device last; a diagnosis makes a simulator of one model for each cause it tries."""
 
 _PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
 
@@ -76,7 +81,7 @@ class WarpModel:
             first += size
         self.ncolumn = first
         self._switch_on()
-        self.nominal = _put(self.model)
+        self.nominal = _shared(self.model)
         for name in self.fields:
             _refuse_shared(self.nominal, name)
         for name, value in self._static_flags().items():
@@ -176,9 +181,7 @@ class WarpModel:
         flags: dict[str, bool] = {}
         batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.fields}
         ignored = {*batched, *UNUSED, *self._switches}
-        for vector in self.writer.probes:
-            changed = copy.copy(self.model)
-            self.writer.write(changed, vector)
+        for changed in self._changed_models():
             other = _put(changed)
             for a, b in ((self.nominal, other), (self.nominal.opt, other.opt)):
                 for f in dataclasses.fields(a):
@@ -192,6 +195,36 @@ class WarpModel:
                         )
                     flags[f.name] = True
         return flags
+
+    def _changed_models(self) -> Iterator[mujoco.MjModel]:
+        """Models that show all that MuJoCo Warp derives from one: every field with other numbers, and other signs.
+
+        Switches ask whether numbers are there at all. So of the probes, building each of which is slow, one inside
+        the bounds is enough for each model, and those in which something becomes zero or ceases to be.
+        """
+        probes, n = self.writer.probes, len(self.writer.models)
+        seen = {self._signs(self.model)}
+        for i, vector in enumerate([*probes[2 * n :], *probes[: 2 * n]]):
+            changed = copy.copy(self.model)
+            self.writer.write(changed, vector)
+            signs = self._signs(changed)
+            if i < n or signs not in seen:
+                seen.add(signs)
+                yield changed
+
+    def _signs(self, model: mujoco.MjModel) -> bytes:
+        return b"".join(np.sign(get_field(model, f), dtype=np.float64).tobytes() for f in self.writer.fields)
+
+
+def _shared(model: mujoco.MjModel) -> mjw.Model:
+    """A model on Warp's current device, whose arrays are those of the last simulator if that had the same model."""
+    key = model_hash(model), wp.get_device().alias
+    if key not in _LAST:
+        _LAST.clear()
+        _LAST[key] = _put(model)
+    shared = copy.copy(_LAST[key])
+    shared.opt = copy.copy(shared.opt)
+    return shared
 
 
 def _put(model: mujoco.MjModel) -> mjw.Model:
