@@ -51,6 +51,7 @@ class Simulator(ABC):
         jumps: columns of parameters along which predictions jump, such as the choice of a model; a fit that follows
             slopes refuses them.
         simulated_steps: physics steps taken so far, the unit in which estimators are compared.
+        rounding: relative rounding error of the numbers that it computes with; tells what differences can resolve.
     """
 
     space: ParameterSpace
@@ -58,6 +59,7 @@ class Simulator(ABC):
     memory_time: float = 0.0
     jumps: tuple[int, ...] = ()
     simulated_steps: int = 0
+    rounding: float = float(np.finfo(np.float64).eps)
 
     @abstractmethod
     def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:

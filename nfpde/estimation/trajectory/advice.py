@@ -22,8 +22,8 @@ WANTED = 0.05
 MOMENTS = 48
 """Recorded moments, spread over all recordings, that the changes are tried on."""
 
-STEP = 1e-4
-"""Finite difference of a parameter, in widths of the bounds."""
+STEP, WIDEST = 1e-4, 0.01
+"""Finite difference of a parameter, in widths of the bounds, in double and in single precision."""
 
 WORTH = 1.5
 """Least gain in information that is worth asking for."""
@@ -119,15 +119,16 @@ def _information(problem: Problem, windows: Windows, xi: Array, asked: list[int]
     """Mean information of a moment about each parameter asked for, in widths of the bounds to the power -2."""
     simulator, n = problem.simulator, len(windows)
     space, every = simulator.space, np.arange(len(windows))
+    step = WIDEST if problem.coarse else STEP
     centre = simulator.rollout(xi[None], windows, np.zeros(n, int), every)
     found = []
     for i in asked:
         # a step towards the farther bound stays inside
         sign = 1.0 if xi[i] - space.low[i] < space.high[i] - xi[i] else -1.0
         moved = xi.copy()
-        moved[i] += sign * STEP * space.width[i]
+        moved[i] += sign * step * space.width[i]
         slope = simulator.states.difference(simulator.rollout(moved[None], windows, np.zeros(n, int), every), centre)
-        white = (slope.reshape(n, -1) / problem.unit / STEP) @ noise.alone
+        white = (slope.reshape(n, -1) / problem.unit / step) @ noise.alone
         squares = (white**2).sum(1)
         squares = squares[np.isfinite(squares)]
         # a contact that opens within the step is a jump and no information: the middle half of the moments counts

@@ -9,6 +9,7 @@ in Kalman's filter and its smoother, with a cost linear in the number of windows
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,26 +94,34 @@ class Factor:
             before = now
         return found
 
-    def solve(self, innovations: Array, weights: Array) -> tuple[Array, Array, Array]:
-        """Back through the chains.
+    def solution(self, innovations: Array, weights: Array) -> Array:
+        """Solution x of covariance x = r, (N, C).
 
         Args:
             innovations: of residuals r                                    (N, C)
             weights: of the windows                                        (N,)
-
-        Returns:
-            Solution of covariance x = r (N, C); diagonal blocks of the inverse covariance (N, C, C); its blocks of
-            each window with the one before (N, C, C), zero at the start of a chain.
         """
         solution = np.einsum("n,nij,nj->ni", weights, self.inverse, innovations)
+        for before, after in self._back():
+            solution[before] -= np.einsum("nij,ni->nj", self.gain[after], solution[after])
+        return solution
+
+    def inverse_blocks(self, weights: Array) -> tuple[Array, Array]:
+        """Diagonal blocks of the inverse covariance (N, C, C), and its blocks of each window with the one before.
+
+        These (N, C, C) are zero at the start of a chain; weights (N,) are those of the windows.
+        """
         diagonal = weights[:, None, None] * self.inverse
         below = np.zeros_like(diagonal)
+        for before, after in self._back():
+            k = self.gain[after]
+            cross = -diagonal[after] @ k
+            diagonal[before] -= k.swapaxes(1, 2) @ cross
+            below[after] = cross
+        return diagonal, below
+
+    def _back(self) -> Iterator[tuple[Index, Index]]:
+        """Windows that are followed and those that follow them, the last of the chains first."""
         steps = self.chains.steps
         for now, after in zip(steps[-2::-1], steps[:0:-1], strict=True):
-            before, k = now[: len(after)], self.gain[after]
-            back = k.swapaxes(1, 2)
-            solution[before] -= np.einsum("nij,nj->ni", back, solution[after])
-            cross = -diagonal[after] @ k
-            diagonal[before] -= back @ cross
-            below[after] = cross
-        return solution, diagonal, below
+            yield now[: len(after)], after

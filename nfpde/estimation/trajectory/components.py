@@ -38,18 +38,11 @@ def rescaled(best: Judged, slopes: Array, inflation: float, *, full: bool) -> Sc
         inflation: of the squares, for the degrees of freedom that a fit has used up.
         full: whether the errors of the simulation have a full covariance, or a diagonal one.
     """
-    scatter, chains, ndiff = best.scatter, best.factor.chains, slopes.shape[2]
-    u, diagonal, below = best.factor.solve(best.innovations, best.weights)
+    scatter, chains = best.scatter, best.factor.chains
+    u = best.factor.solution(best.innovations, best.weights)
     shown = inflation * np.einsum("ni,nj->ij", u, u)
-    expected = diagonal.sum(0)
-    # errors of states: those at which a window starts, linked to the one before or not, and those at which none starts
-    first, wide = at_starts(chains, u, diagonal, below, slopes)
-    ends = u.reshape(len(u), -1, ndiff)
-    spread = np.einsum("ncc->nc", diagonal).reshape(ends.shape)
-    free = np.ones(ends.shape[:2], bool)
-    free[chains.followed, -1] = False
-    shown_sensor = inflation * ((first**2).sum(0) + (ends[free] ** 2).sum(0))
-    expected_sensor = wide.sum(0) + spread[free].sum(0)
+    shown_sensor = inflation * squares_of_states(chains, u, slopes)
+    expected_sensor, expected = visible(best.factor, best.weights, slopes)
     sensor = scatter.sensor * np.sqrt(shown_sensor / np.maximum(expected_sensor, 1e-300))
     process = _riccati(scatter.process, shown, expected) if full else _diagonal(scatter.process, shown, expected)
     return replace(scatter, sensor=sensor, process=process)
@@ -57,28 +50,62 @@ def rescaled(best: Judged, slopes: Array, inflation: float, *, full: bool) -> Sc
 
 def extrapolated(old: Scatter, new: Scatter, stride: int, floors: tuple[Array, Array]) -> Scatter:
     """`stride` steps in the direction from `old` to `new` along the geodesic of covariances, a hundredfold at most."""
-    ratio = np.clip((new.sensor / np.maximum(old.sensor, 1e-300)) ** stride, 0.01, 100.0)
+    low, high = 0.01 ** (1 / stride), 100.0 ** (1 / stride)
+    ratio = np.clip(new.sensor / np.maximum(old.sensor, 1e-300), low, high) ** stride
     lower = np.linalg.cholesky(old.process)
     half = np.linalg.solve(lower, np.linalg.solve(lower, new.process).T)
     values, vectors = np.linalg.eigh(0.5 * (half + half.T))
-    root = lower @ vectors * np.sqrt(np.clip(np.maximum(values, 0.0) ** stride, 0.01, 100.0))
+    root = lower @ vectors * np.sqrt(np.clip(values, low, high) ** stride)
     sensor = np.maximum(old.sensor * ratio, floors[0] ** 2)
     return replace(new, sensor=sensor, process=at_least(root @ root.T, floors[1]))
 
 
-def at_starts(chains: Chains, u: Array, diagonal: Array, below: Array, slopes: Array) -> tuple[Array, Array]:
-    """What the residuals show of the error of each window's start, and how much they can show of it: (N, ndiff) twice.
+def squares_of_states(chains: Chains, u: Array, slopes: Array) -> Array:
+    """What residuals with solution u (N, C) show of the variances of states' errors, (ndiff,)."""
+    # errors of states: those at which a window starts, linked to the one before or not, and those at which none starts
+    ends, free = _ends(chains, u, slopes)
+    return (at_starts(chains, u, slopes) ** 2).sum(0) + (ends[free] ** 2).sum(0)
 
-    Multiplied by the error's variance they are its mean and the share of the variance that the recording takes away.
+
+def visible(factor: Factor, weights: Array, slopes: Array) -> tuple[Array, Array]:
+    """What residuals show on average of the variances of the states' errors (ndiff,) and of the process (C, C)."""
+    diagonal, below = factor.inverse_blocks(weights)
+    ends, free = _ends(factor.chains, np.einsum("ncc->nc", diagonal), slopes)
+    sensor = width_at_starts(factor.chains, diagonal, below, slopes).sum(0) + ends[free].sum(0)
+    return sensor, diagonal.sum(0)
+
+
+def _ends(chains: Chains, numbers: Array, slopes: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Numbers of channels (N, C) by step, (N, H, ndiff), and the steps at which no window starts (N, H)."""
+    ends = numbers.reshape(len(numbers), -1, slopes.shape[2])
+    free = np.ones(ends.shape[:2], bool)
+    free[chains.followed, -1] = False
+    return ends, free
+
+
+def at_starts(chains: Chains, u: Array, slopes: Array) -> Array:
+    """What residuals with solution u (N, C) show of the error of each window's start, (N, ndiff).
+
+    Multiplied by the error's variance it is its mean.
     """
     ndiff = slopes.shape[2]
     first = np.einsum("ncd,nc->nd", slopes, u)
-    wide = np.einsum("ncd,nce,ned->nd", slopes, diagonal, slopes, optimize=True)
     after = np.flatnonzero(chains.linked)
     first[after] -= u[after - 1, -ndiff:]
+    return first
+
+
+def width_at_starts(chains: Chains, diagonal: Array, below: Array, slopes: Array) -> Array:
+    """How much the residuals can show of the error of each window's start, (N, ndiff).
+
+    Multiplied by the error's variance it is the share of the variance that the recording takes away.
+    """
+    ndiff = slopes.shape[2]
+    wide = np.einsum("ncd,nce,ned->nd", slopes, diagonal, slopes, optimize=True)
+    after = np.flatnonzero(chains.linked)
     wide[after] += np.einsum("ndd->nd", diagonal[after - 1, -ndiff:, -ndiff:])
     wide[after] -= 2 * np.einsum("ncd,ncd->nd", slopes[after], below[after][:, :, -ndiff:])
-    return first, wide
+    return wide
 
 
 def _riccati(process: Array, shown: Array, expected: Array) -> Array:

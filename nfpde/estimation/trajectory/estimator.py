@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 BORROWING_ROUNDS = (1, 2, 3)
 """Rounds that also start from where other robots ended: a robot stuck in a local minimum gets out of it there."""
 
+STILL = 0.3
+"""Standard deviations of its posterior that a robot's parameters move in the last round, at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Linear:
@@ -69,6 +72,7 @@ class TrajectoryEstimator:
         self.measured = self.problem
         self.linear: Linear | None = None
         self.slopes: Array | None = None
+        self.places: Array | None = None
 
     @property
     def title(self) -> str:
@@ -98,11 +102,11 @@ class TrajectoryEstimator:
         improve(self.problem, c, self.noise, self.config.steps)
         linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         c = self.candidates = distinct(c)
-        before = self.noise.log_scale
+        before, best = self.noise.log_scale, self._best()
+        moved, self.places = self._moved(c.z[best], c.information[best]), c.z[best]
         self._learn_noise()
-        change = self.noise.log_scale - before
+        settled = abs(self.noise.log_scale - before) < 1e-2 and moved < STILL
         self.iteration += 1
-        settled = abs(change) < 1e-2
         self.converged = bool(settled and self.iteration > 1 + (self.robots > 1))
         best, c = self._best(), self.candidates
         figures = {
@@ -181,6 +185,13 @@ class TrajectoryEstimator:
         self.problem = started.grown_by(np.einsum("ncd,nd->nc", self.slopes, linear.errors))
         self.noise = Noise.of(scatter, self.slopes, self.chains, linear.weights, self.problem.members)
 
+    def _moved(self, places: Array, information: Array) -> float:
+        """The most that a robot has moved since the round before, in its own standard deviations."""
+        if self.places is None:
+            return np.inf
+        step = places - self.places
+        return float(np.sqrt(np.einsum("gd,gde,ge->g", step, information, step).max()))
+
     def _best(self) -> NDArray[np.intp]:
         """Index of every robot's best candidate, (G,)."""
         c = self.candidates
@@ -196,7 +207,7 @@ class TrajectoryEstimator:
         if self.linear is not None:
             saved |= vars(self.linear)
         if c is not None:
-            saved |= {"robot": c.robot, "z": c.z, "damping": c.damping}
+            saved |= {"robot": c.robot, "z": c.z, "damping": c.damping, "places": self.places}
         tensors, layout = flatten_state("trajectory", saved)
         info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
         return tensors, {**info, "trajectory": layout}
@@ -213,7 +224,7 @@ class TrajectoryEstimator:
             c = start(self.problem, saved["z"], saved["robot"], self.noise)
             c.damping = saved["damping"]
             linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
-            self.candidates = c
+            self.candidates, self.places = c, saved["places"]
 
 
 def _join(a: Candidates, b: Candidates) -> Candidates:

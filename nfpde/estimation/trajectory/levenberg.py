@@ -17,8 +17,11 @@ from nfpde.estimation.trajectory.problem import Index, Problem
 
 Array = NDArray[np.float64]
 
-STEP = 1e-4
-"""Finite difference in z: far above rounding errors, far below any curvature."""
+STEP, WIDEST = 1e-4, 0.02
+"""Finite difference in z: far above rounding errors of double precision, far below any curvature; and the most."""
+
+RESOLVED = 0.3
+"""Finite difference for a simulator of single precision, in standard deviations of the parameter."""
 
 FARTHEST = 9.0
 """|z| of candidates: within 1e-4 of the box's width of a bound there is nothing left to find."""
@@ -145,10 +148,7 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
     if len(parts) > 1:
         return np.concatenate([linearise(problem, c, noise, which[p], careful=careful) for p in parts])
     gradient = np.empty((len(which), d))
-    ahead = _slopes(problem, c, which, STEP)
-    behind = _slopes(problem, c, which, -STEP) if careful else ahead
-    for i, k in enumerate(which):
-        slope = np.where(np.abs(ahead[i]) < np.abs(behind[i]), ahead[i], behind[i])
+    for i, (k, slope) in enumerate(zip(which, _derivatives(problem, c, which, careful=careful), strict=True)):
         white = noise.whiten(int(c.robot[k]), np.concatenate([c.residuals[k][None], slope]))
         # the weights of this place in iteratively reweighted least squares
         white *= np.sqrt(noise.scatter.weight((white[:1] ** 2).sum(2, keepdims=True)))
@@ -162,13 +162,28 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
     return gradient
 
 
-def _slopes(problem: Problem, c: Candidates, which: Index, step: float) -> list[Array]:
-    """One-sided differences of the residuals of every candidate by every parameter: arrays (D, n_k, C)."""
+def _derivatives(problem: Problem, c: Candidates, which: Index, *, careful: bool) -> list[Array]:
+    """Derivatives of the candidates' residuals by their parameters, arrays (D, n_k, C); arguments as in `linearise`."""
+    steps = np.full((len(which), len(problem.simulator.space)), STEP)
+    if problem.coarse:
+        sharp = np.sqrt(np.einsum("kii->ki", c.information[which]))
+        steps = np.clip(RESOLVED / np.maximum(sharp, 1e-300), STEP, WIDEST)
+    ahead = _slopes(problem, c, which, steps)
+    if not careful:
+        return ahead
+    behind = _slopes(problem, c, which, -steps)
+    return [np.where(np.abs(a) < np.abs(b), a, b) for a, b in zip(ahead, behind, strict=True)]
+
+
+def _slopes(problem: Problem, c: Candidates, which: Index, steps: Array) -> list[Array]:
+    """One-sided differences of the residuals of candidates by every parameter over steps (k, D): arrays (D, n_k, C)."""
     space = problem.simulator.space
     d = len(space)
-    moved = (c.z[which, None] + step * np.eye(d)).reshape(-1, d)
+    moved = (c.z[which, None] + steps[:, :, None] * np.eye(d)).reshape(-1, d)
     there = problem.residuals(space.to_physical(moved), np.repeat(c.robot[which], d))
-    return [(np.stack(there[i * d : (i + 1) * d]) - c.residuals[k]) / step for i, k in enumerate(which)]
+    return [
+        (np.stack(there[i * d : (i + 1) * d]) - c.residuals[k]) / steps[i, :, None, None] for i, k in enumerate(which)
+    ]
 
 
 def _costs(residuals: list[Array], robot: Index, z: Array, noise: Noise) -> Array:

@@ -50,6 +50,11 @@ class Problem:
         return len(self.unit)
 
     @property
+    def coarse(self) -> bool:
+        """Whether the simulator rounds too much for differences over the shortest steps, as single precision does."""
+        return self.simulator.rounding > 1e-12
+
+    @property
     def linked(self) -> NDArray[np.bool_]:
         """Whether a window starts from the state at which the one before it ends, (N,)."""
         w = self.windows

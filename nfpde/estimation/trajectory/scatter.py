@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from nfpde.estimation.trajectory.chains import Chains, Factor
-from nfpde.estimation.trajectory.components import Judged, at_least, at_starts, extrapolated, rescaled
+from nfpde.estimation.trajectory.components import (
+    Judged,
+    at_least,
+    at_starts,
+    extrapolated,
+    rescaled,
+    width_at_starts,
+)
 from nfpde.estimation.trajectory.noise import Scatter
-from nfpde.estimation.trajectory.student import DEGREES, learn_student
+from nfpde.estimation.trajectory.student import DEGREES, learn_student, tails_cost
 
 Array = NDArray[np.float64]
 
@@ -114,7 +121,8 @@ def smoothed(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array) 
         factor, innovations, squares = _innovations(scatter, chains, slopes, residuals, weights)
         weights = scatter.gain_weight(squares)
     factor, innovations, _ = _innovations(scatter, chains, slopes, residuals, weights)
-    first, wide = at_starts(chains, *factor.solve(innovations, weights), slopes)
+    first = at_starts(chains, factor.solution(innovations, weights), slopes)
+    wide = width_at_starts(chains, *factor.inverse_blocks(weights), slopes)
     left = scatter.sensor * np.maximum(1 - scatter.sensor * wide.mean(0), 0.01)
     return weights, scatter.sensor * first, np.sqrt(scatter.scale * left)
 
@@ -185,7 +193,7 @@ def _tails(scatter: Scatter, factor: Factor, squares: Array, inflation: float, l
                 break
         constant = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
         terms = constant - 0.5 * channels * np.log(scale) - 0.5 * (degrees + channels) * np.log1p(m / scale / degrees)
-        score = float(terms.sum() - half_det)
+        score = float(terms.sum() - half_det) - tails_cost(degrees, len(m))
         if score > best[1]:
             best = (replace(scatter, degrees=float(degrees), scale=scale), score)
     return best

@@ -11,8 +11,9 @@ from nfpde.estimation.trajectory.problem import Problem
 
 Array = NDArray[np.float64]
 
-SMALLEST = 1e-6
-"""Least error of a state that is tried, in units: above rounding, below what a contact notices."""
+SMALLEST, SMALLEST_SINGLE = 1e-6, 1e-3
+"""Least error of a state that is tried, in units: above rounding in double and in single precision, below what a
+contact notices."""
 
 
 def start_slopes(problem: Problem, best: Array, size: Array) -> Array:
@@ -34,7 +35,7 @@ def start_slopes(problem: Problem, best: Array, size: Array) -> Array:
     robot = np.repeat(np.arange(len(best)), [len(m) for m in problem.members])
     every, size_at_once = np.arange(len(windows)), 1 << 14
     parts = [slice(a, a + size_at_once) for a in range(0, len(windows), size_at_once)]
-    step = np.maximum(size, SMALLEST)
+    step = np.maximum(size, SMALLEST_SINGLE if problem.coarse else SMALLEST)
     slopes = np.empty((len(windows), problem.channels, states.ndiff))
     for j in range(states.ndiff):
         ends = []

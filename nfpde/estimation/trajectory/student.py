@@ -62,11 +62,17 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Stud
     best: tuple[float, Student] | None = None
     for degrees in DEGREES:
         whitener, score = _scatter(r, float(degrees), n / left, full=n >= 5 * channels)
+        score -= tails_cost(float(degrees), n) / n
         if best is None or score > best[0]:
             best = score, Student(whitener / floor[:, None], float(degrees))
     if best is None:
         raise RuntimeError("no degrees of freedom were tried")
     return best[1]
+
+
+def tails_cost(degrees: float, n: int) -> float:
+    """What tails must gain to be believed, in n residuals: one number more by Schwarz's criterion [nats]."""
+    return 0.5 * np.log(n) if degrees < GAUSSIAN else 0.0
 
 
 def _scatter(r: Array, degrees: float, inflation: float, *, full: bool) -> tuple[Array, float]:
