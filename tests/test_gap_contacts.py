@@ -14,7 +14,7 @@ from nfpde.gap.gather import spread
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import search, search_all, search_near
+from nfpde.gap.search import search, search_about, search_all, search_near
 from nfpde.gap.sensors import sensor_noise
 from nfpde.parameters import Parameter, ParameterSpace
 
@@ -171,3 +171,29 @@ def test_parameters_are_searched_where_slopes_mislead(seed):
     fitter, scatter, _ = prepared(drops(noise=(1e-4, 1e-3), xml=truth), replay, corner)
     found = search_all(fitter, fitter.start(replay, corner, scatter), seed)
     assert found.xi == pytest.approx([2.0, 30.0], rel=0.1)  # near enough for slopes to go on
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_evolve_to_a_place_among_ripples(seed):
+    """Two values under ripples that turn every slope: the best samples lie in the right hollow, on either side."""
+    truth, rng = np.array([0.02, 0.6]), np.random.default_rng(1)
+    weights = rng.normal(size=(2, 400))
+
+    class Rippled(Replay):
+        effects = (effect("ground_height", height=(-0.1, 0.1)), effect("ground_friction", sliding=(0.05, 3.0)))
+        low, high, nbase = np.array([-0.1, 0.05]), np.array([0.1, 3.0]), 0
+
+        def __init__(self):
+            pass
+
+        def residuals(self, xi, windows, horizons, force=None):
+            away = (np.atleast_2d(xi) - truth) / [0.01, 0.3]
+            ripples = 0.3 * np.sin(25 * away) + away
+            return (ripples @ weights).reshape(len(away), 100, 1, 4)
+
+    floor = np.full((1, 4), 1e-3)
+    fitter, replay = Fitter(ANYTHING, (1, 2)), Rippled()
+    guess = fitter.start(replay, np.array([[0.005, 1.5]]), learn_scatter(weights.T.reshape(-1, 1, 4), 0, floor))
+    found = search_about(fitter, guess, 0, seed)
+    before = np.abs(guess.xi - truth)
+    assert (np.abs(found[0] - truth) < 0.3 * before).all()

@@ -122,7 +122,7 @@ def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Arra
         found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)
         found = court.settle(found)
         fit = found if found.cost < fit.cost else fit
-    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
+    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0], rugged)
     nominal = start.residuals(guesses[:1], recordings.held, recordings.horizons)[0]
     fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
     return nominal, court.judge(None, fit), court

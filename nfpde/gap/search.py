@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cma
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
@@ -30,11 +31,18 @@ LOOKS, MOST_LOOKS = 48, 192
 KEPT = 3
 """Places, apart from each other, that are followed."""
 
-ROUGH, FINE, POLISH = 2, 5, 3
-"""Rounds of samples on few windows, on all, and about a place that slopes have found."""
+ROUGH, FINE = 2, 5
+"""Rounds of samples on few windows, and on all."""
 
-_BASE, _NEAR = 0.2, 0.04
-"""Distance, in the chart's units, of the first samples of parameters beside those searched; about a fitted place."""
+NEAR = 3
+"""Rounds of samples about a place that slopes have found."""
+
+GENERATIONS, OFFSPRING, BEST = 16, 8, 4
+"""Generations of samples about a rough guess, samples in each at least, and those of all that are given back."""
+
+_NEAR, _ABOUT, _BESIDE = 0.04, 0.5, 0.2
+"""Distance of the first samples, in the chart's units: about a fitted place, about a rough guess, and of parameters
+beside the effect that is searched."""
 
 _FINER = 0.25
 """Width of the first fine round as a share of the distance of neighbouring looks."""
@@ -65,8 +73,35 @@ def search_near(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     """The best of all free parameters of a fit together, close to where it is."""
     replay, free = fit.replay, np.arange(fit.replay.nfree)
     near = Gathering(fitter, replay, Chart(replay), fit.scatter.floor, fit.xi, free)
-    near.rounds(POLISH, np.full(len(free), _NEAR), np.random.default_rng(seed))
+    near.rounds(NEAR, np.full(len(free), _NEAR), np.random.default_rng(seed))
     return fitter.start(replay, near.best[None], fit.scatter)
+
+
+def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
+    """The best free parameters (B, D) of samples that evolve about a rough guess, in which an effect moves most.
+
+    A linear model of the residuals leads nowhere from where they are but rugged; the covariance of the best samples
+    does (CMA-ES: Hansen, Ostermeier, Evolutionary Computation 2001).
+
+    Args:
+        fitter: Of the windows.
+        fit: The guess.
+        index: Which of its effects.
+        seed: Of the samples.
+    """
+    replay, chart = fit.replay, Chart(fit.replay)
+    widths = np.full(replay.nfree, _BESIDE)
+    widths[replay.columns(index)] = _ABOUT
+    settings = {"CMA_stds": widths, "bounds": [chart.low, chart.high], "seed": seed + 1, "verbose": -9}
+    evolution = cma.CMAEvolutionStrategy(chart.inward(fit.xi), 1.0, settings)
+    tried, costs = [fit.xi], [spread(fitter.residuals_at(replay, fit.xi[None])[0], fit.scatter.floor)]
+    for _ in range(GENERATIONS):
+        at = evolution.ask(max(OFFSPRING, evolution.popsize))
+        tried.extend(chart.outward(np.array(at)))
+        new = [spread(r, fit.scatter.floor) for r in fitter.residuals_at(replay, np.array(tried[-len(at) :]))]
+        evolution.tell(at, new)
+        costs += new
+    return np.array(tried)[np.argsort(costs, kind="stable")[:BEST]]
 
 
 def _search(
@@ -81,7 +116,7 @@ def _search(
         rough.append(found.best)
     costs = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, np.array(rough))]
     every = np.arange(replay.nfree)
-    first = np.full(len(every), _BASE)
+    first = np.full(len(every), _BESIDE)
     first[columns] = widths
     found = Gathering(fitter, replay, chart, scatter.floor, rough[int(np.argmin(costs))], every)
     found.rounds(FINE, _FINER * first, rng)

@@ -94,7 +94,7 @@ class Selection:
     def _polish(self, trial: Trial) -> Trial:
         """The accepted effects and the parameters fitted once more, to the end."""
         fit = self.court.settle(trial.fit, iterations=6)
-        if any(e.whole == "contact" for e, _ in self.candidates):  # slopes mislead: look about the values too
+        if self.court.rugged:  # slopes mislead: look about the values too
             found = self.court.settle(search_near(self.court.fitter, fit), rounds=1)
             fit = found if found.cost < fit.cost else fit
         fit = self.court.fitter.linearise(fit)

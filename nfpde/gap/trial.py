@@ -12,10 +12,11 @@ from scipy.stats import wilcoxon
 
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.gather import spread
 from nfpde.gap.noise import Scatter, learn_scatter
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.screen import Screened
-from nfpde.gap.search import search
+from nfpde.gap.search import search, search_about
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,9 @@ SCREENED = 60
 
 GLANCED, MANY = 20, 24
 """Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
+
+SOUGHT = 30
+"""Windows on which hopeful candidates are sought where contacts make slopes mislead."""
 
 GUESSES = 3
 """Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
@@ -71,12 +75,14 @@ class Court:
 
     floor: smallest residual believed (nv, C)
     nominal: base parameters of the nominal model
+    rugged: whether contacts make the cost so rugged that slopes mislead
     """
 
     recordings: Recordings
     fitter: Fitter
     floor: Array
     nominal: Array
+    rugged: bool = False
 
     def screening(self, base: Fit, count: int = SCREENED) -> tuple[Fitter, Fit]:
         """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them."""
@@ -127,7 +133,7 @@ class Court:
             if base.cost - fit.cost > LEAST_GAIN:
                 rough.append((s, fit))
         rough.sort(key=lambda pair: pair[1].cost)
-        close = [(s, self.fitter.improve(fit, 2, kept=len(base.xi))) for s, fit in rough[:SECOND]]
+        close = [(s, self._closer(base, s, fit, rough[0][1])) for s, fit in rough[:SECOND]]
         most = max((base.cost - fit.cost for _, fit in close), default=0.0)
         trials = []
         for s, fit in close:
@@ -135,6 +141,17 @@ class Court:
                 fit = self.settle(fit, kept=len(base.xi))
             trials.append(self.judge(s.effect, self.fitter.rescale(fit, self.scatter(fit))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
+
+    def _closer(self, base: Fit, screened: Screened, fit: Fit, best: Fit) -> Fit:
+        """A rough fit improved; where contacts are, by samples first, if it is hopeful and was not searched before."""
+        hopeful = base.cost - fit.cost >= HOPEFUL * (base.cost - best.cost)
+        if self.rugged and screened.effect.whole != "contact" and hopeful:
+            some = self.screening(base, SOUGHT)[0]
+            places = np.vstack([fit.xi, search_about(some, fit, len(fit.replay.effects) - 1)])
+            costs = [spread(r, self.floor) for r in self.fitter.residuals_at(fit.replay, places)]
+            found = self.fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
+            fit = self.fitter.rescale(replace(found, slopes=fit.slopes), self.scatter(found))
+        return self.fitter.improve(fit, 2, kept=len(base.xi))
 
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
