@@ -18,7 +18,7 @@ from nfpde.estimation.trajectory import (
 )
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.population import BANDWIDTHS, leave_one_out
-from nfpde.estimation.trajectory.student import learn_student
+from nfpde.estimation.trajectory.student import GAUSSIAN, learn_student
 
 torch.set_num_threads(1)
 
@@ -170,6 +170,20 @@ def test_noise_is_learned_through_outliers():
     np.testing.assert_allclose(scatter, root @ root.T, rtol=0.15, atol=0.05)
     assert clean.degrees >= 20 > 4 >= robust.degrees
     assert np.linalg.norm(np.linalg.inv(robust.whitener)) < 3 * np.linalg.norm(np.linalg.inv(clean.whitener))
+
+
+def test_tails_are_believed_where_they_pay():
+    """Few Gaussian residuals are seldom given tails; many with tails always are."""
+    few, many = 0, 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        few += learn_student([rng.normal(size=(30, 2))], 0, np.full(2, 1e-9)).degrees < GAUSSIAN
+        heavy = rng.normal(size=(300, 2)) / np.sqrt(rng.chisquare(3, size=(300, 1)) / 3)
+        many += learn_student([heavy], 0, np.full(2, 1e-9)).degrees < GAUSSIAN
+    # a gain of log(30) / 2 nats is chance once in thirty; the best of seven tails is somewhat more often, and six
+    # standard deviations above that are one in four
+    assert few < 15
+    assert many == 60
 
 
 def test_noise_never_falls_below_the_floor():
