@@ -200,11 +200,20 @@ def test_a_body_that_mujoco_compiled_in_another_way():
         MujocoSimulator([load(FREE_BOX), centred], ParameterSpace([choice(2)]))
 
 
-def test_pictures_may_differ():
-    """Colours, cameras and names of bodies decide nothing."""
-    seen = changed(PENDULUM, ('<geom name="bob"', '<camera/><geom rgba="1 0 0 1" name="weight"'), ('damping="0.1"', ""))
-    sim = MujocoSimulator([load(PENDULUM), seen], ParameterSpace([choice(2)]))
-    assert sim.writer.fields == ["dof_damping"]
+@pytest.mark.parametrize("device", ["cpu", "warp-cpu"])
+def test_pictures_may_differ(device):
+    """Colours, cameras, sizes of sites and names of bodies decide nothing."""
+    plain = changed(PENDULUM, ('<geom name="bob"', '<site size="0.01"/><geom name="bob"'))
+    seen = changed(
+        PENDULUM,
+        ('<geom name="bob"', '<site size="0.1"/><camera/><geom rgba="1 0 0 1" name="weight"'),
+        ('body name="rod"', 'body name="stick"'),
+        ('damping="0.1"', ""),
+    )
+    space = ParameterSpace([Parameter("jnt_stiffness", "hinge", 0.0, 1.0), choice(2)])
+    sim = make_simulator([plain, seen], space, device=device, check_influence=False)
+    xi, windows = np.array([[0.3, 0.0], [0.3, 1.0]]), make_windows(plain, 3, 5)
+    np.testing.assert_allclose(sim.predict(xi, windows), split(sim, xi, windows), atol=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ _MEANINGS = {"body_simple": " (bodies whose centre of mass lies on their own joi
 """Words for fields that only MuJoCo's compiler writes."""
 
 _PICTURES = ("tex", "skin", "mat_", "light", "cam", "name", "key_", "tuple", "numeric", "sensor", "bvh", "oct")
-_LABELS = ("_rgba", "_user", "_matid", "_group", "pathadr")
+_LABELS = ("_rgba", "_user", "_matid", "_group", "pathadr", "site_size")
 """Beginnings and ends of fields that move nothing, and of trees that only make collisions faster to find."""
 
 
