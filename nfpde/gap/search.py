@@ -48,7 +48,15 @@ _FINER = 0.25
 """Width of the first fine round as a share of the distance of neighbouring looks."""
 
 
-def search(fitter: Fitter, replay: Replay, index: int, guesses: Array, scatter: Scatter, seed: int = 0) -> Fit:
+def search(
+    fitter: Fitter,
+    replay: Replay,
+    index: int,
+    guesses: Array,
+    scatter: Scatter,
+    seed: int = 0,
+    enough: float = np.inf,
+) -> Fit:
     """The best values of an effect over all its sizes; other parameters start as in a guess and then move along.
 
     Args:
@@ -58,15 +66,16 @@ def search(fitter: Fitter, replay: Replay, index: int, guesses: Array, scatter: 
         guesses: Free parameters to start from (G, D).
         scatter: What the cost of the fit is counted with.
         seed: Of the samples.
+        enough: Cost [nats], see `spread`, below which a rough place is worth a closer look.
     """
     columns = np.arange(replay.nfree)[replay.columns(index)]
-    return _search(fitter, replay, columns, guesses, scatter, np.random.default_rng(seed))
+    return _search(fitter, replay, columns, guesses, scatter, np.random.default_rng(seed), enough)
 
 
 def search_all(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     """The same for all free parameters of a fit together, over their bounds."""
     rng = np.random.default_rng(seed)
-    return _search(fitter, fit.replay, np.arange(fit.replay.nfree), fit.xi[None], fit.scatter, rng)
+    return _search(fitter, fit.replay, np.arange(fit.replay.nfree), fit.xi[None], fit.scatter, rng, np.inf)
 
 
 def search_near(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
@@ -105,7 +114,13 @@ def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
 
 
 def _search(
-    fitter: Fitter, replay: Replay, columns: Columns, guesses: Array, scatter: Scatter, rng: np.random.Generator
+    fitter: Fitter,
+    replay: Replay,
+    columns: Columns,
+    guesses: Array,
+    scatter: Scatter,
+    rng: np.random.Generator,
+    enough: float,
 ) -> Fit:
     chart, few = Chart(replay), _few(fitter)
     places, widths = _look(few, replay, chart, columns, guesses, scatter.floor, rng)
@@ -115,6 +130,8 @@ def _search(
         found.rounds(ROUGH, widths, rng)
         rough.append(found.best)
     costs = [spread(r, scatter.floor) for r in fitter.residuals_at(replay, np.array(rough))]
+    if min(costs) > enough:
+        return fitter.start(replay, np.array(rough)[[int(np.argmin(costs))]], scatter)
     every = np.arange(replay.nfree)
     first = np.full(len(every), _BESIDE)
     first[columns] = widths

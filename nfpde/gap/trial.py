@@ -115,18 +115,20 @@ class Court:
         few, some, part = self.screening(base, GLANCED)[0], *self.screening(base)
         # without the effect the parameters may have been bent far from the truth to stand in for it
         straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
-        rough = []
-        for s in hopeful:
+        rough, gap = [], [spread(part.residuals, self.floor)]
+        for s in sorted(hopeful, key=lambda s: s.effect.whole == "contact"):
             starts = [
                 np.hstack([np.broadcast_to(xi, (len(s.guesses), len(xi))), s.guesses]) for xi in (base.xi, straight)
             ]
             guesses = np.concatenate(starts)
             if s.effect.whole == "contact":
-                fit = search(some, s.replay, len(s.replay.effects) - 1, guesses, part.scatter)
+                enough = gap[0] - SHARE * (gap[0] - min(gap))
+                fit = search(some, s.replay, len(s.replay.effects) - 1, guesses, part.scatter, enough=enough)
             else:
                 fit = some.start(s.replay, few.best(s.replay, guesses, part.scatter, GUESSES), part.scatter)
                 fit.slopes[: len(base.xi)] = part.slopes
                 fit = some.improve(fit, 2, kept=len(base.xi))
+            gap.append(spread(fit.residuals, self.floor))
             fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)
             fit.slopes[: len(base.xi)] = base.slopes
             fit = self.fitter.rescale(fit, self.scatter(fit))
