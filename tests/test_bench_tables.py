@@ -129,3 +129,8 @@ def test_fit_table_keeps_finished_cells(tmp_path, monkeypatch):
     assert len(fitted) == 4
     table = (tmp_path / "fit_quick.md").read_text()
     assert table.count("| gaussian | 0 |") == table.count("| mixture | 0 |") == 2
+    monkeypatch.setattr(fit_bench, "CELLS", (("softmax", "flow"),))
+    fit_bench.run(True, tmp_path, "warp-cpu")
+    elsewhere = (tmp_path / "fit_warp-cpu_quick.md").read_text()
+    assert "nfpde bench fit --device warp-cpu --quick" in elsewhere
+    assert "MuJoCo Warp" in elsewhere

@@ -10,10 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.benchmarks import collect, robot
 from nfpde.estimation import NfpdeConfig, fit
 from nfpde.evaluate import evaluate
-from nfpde.sim import MujocoSimulator
+from nfpde.sim import Device, found_device, make_simulator
 
 CELLS = (("softmax", "flow"), ("cai", "flow"), ("trajectory", "population"), ("trajectory", "episodes"))
 """Method, and which of its answers is measured."""
@@ -22,30 +23,37 @@ SAMPLES = 2000
 """Samples of every distribution that is measured."""
 
 
-def run(quick: bool, out: Path) -> None:
+def run(quick: bool, out: Path, device: Device = "cpu") -> None:
     """Fit, measure, print a table and write it to fit.md and fit.json; finished cells are kept and not redone.
 
     Args:
         quick: one seed and a tenth of the iterations.
         out: folder for the tables.
+        device: where the fits are simulated; the table of another one than the CPU is `fit_<device>`.
+
+    Raises:
+        BadInput: no such device.
     """
+    device = found_device(device)
+    elsewhere = device != "cpu"
     config = NfpdeConfig(iterations=6) if quick else NfpdeConfig()
     facts = {
-        "command": "nfpde bench fit" + (" --quick" if quick else ""),
+        "command": "nfpde bench fit" + (f" --device {device}" if elsewhere else "") + (" --quick" if quick else ""),
         "config": asdict(config),
         "samples": SAMPLES,
         "versions": {name: version(name) for name in ("nfpde", "mujoco", "torch", "zuko", "numpy")},
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        **facts_of_device(robot("hopper"), device),
     }
     out.mkdir(parents=True, exist_ok=True)
-    record = out / ("fit_quick.json" if quick else "fit.json")
+    record = out / ("fit" + (f"_{device}" if elsewhere else "") + ("_quick" if quick else "") + ".json")
     rows = _kept(record, facts)
     cells = itertools.product(CELLS, ("gaussian", "mixture"), range(1 if quick else 3))
     for (method, answer), target, seed in cells:
         key = {"target": target, "seed": seed, "method": method, "answer": answer}
         if any(key.items() <= row.items() for row in rows):
             continue
-        rows.append({**key, **_cell(target, seed, method, answer, config)})
+        rows.append({**key, **_cell(target, seed, method, answer, config, device)})
         print(_line(rows[-1]), flush=True)
         record.write_text(json.dumps({**facts, "rows": rows}, indent=1))
     table = _table(rows, facts)
@@ -53,10 +61,10 @@ def run(quick: bool, out: Path) -> None:
     record.with_suffix(".md").write_text(table)
 
 
-def _cell(target: Any, seed: int, method: Any, answer: str, config: NfpdeConfig) -> dict[str, float]:
+def _cell(target: Any, seed: int, method: Any, answer: str, config: NfpdeConfig, device: Device) -> dict[str, float]:
     hopper = robot("hopper")
     dataset, truth = collect(hopper, target, seed=seed)
-    simulator = MujocoSimulator(hopper.path, hopper.space)
+    simulator = make_simulator(hopper.path, hopper.space, device=device)
     settings = None if method == "trajectory" else config
     result = fit(simulator, dataset, method=method, config=settings, seed=seed, quiet=True)
     estimate = result.episodes if answer == "episodes" and result.episodes is not None else result.distribution
@@ -125,7 +133,8 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             verdict,
             "",
-            f"`{facts['command']}`, settings {facts['config']}; versions {facts['versions']}; {facts['machine']}.",
+            f"`{facts['command']}`, settings {facts['config']}; versions {facts['versions']}; {facts['machine']}"
+            + (f"; {facts['device']}." if "device" in facts else "."),
             "",
         ]
     )

@@ -62,11 +62,15 @@ def ot(
 
 
 @app.command("fit")
-def fit(quick: Quick = False, out: Out = Path("docs/results")) -> None:
+def fit(
+    quick: Quick = False,
+    out: Out = Path("docs/results"),
+    device: Annotated[Device, typer.Option(help=f"where fits simulate: {DEVICE_HELP}")] = "cpu",
+) -> None:
     """Softmax and CAI on Hopper, both populations, several seeds: OT to the truth before and after."""
     from nfpde.bench import fit as bench
 
-    bench.run(quick, out)
+    bench.run(quick, out, device)
 
 
 @app.command("estimation")
