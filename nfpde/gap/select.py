@@ -14,7 +14,7 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
 from nfpde.gap.search import search_near
-from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, Court, Trial, block_test
+from nfpde.gap.trial import APART, GLANCED, LEAST_GAIN, LEVEL, MANY, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -28,6 +28,9 @@ WORTH = 0.02
 
 FLOOR_ERROR = 0.1
 """Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
+
+POLISHED = 4
+"""Turns of the last fit at most, where contacts make slopes mislead."""
 
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
@@ -94,9 +97,11 @@ class Selection:
     def _polish(self, trial: Trial) -> Trial:
         """The accepted effects and the parameters fitted once more, to the end."""
         fit = self.court.settle(trial.fit, iterations=6)
-        if self.court.rugged:  # slopes mislead: look about the values too
-            found = self.court.settle(search_near(self.court.fitter, fit), rounds=1)
-            fit = found if found.cost < fit.cost else fit
+        for turn in range(POLISHED if self.court.rugged else 0):  # slopes mislead: look about the values too
+            found = self.court.settle(search_near(self.court.fitter, fit, turn), iterations=6)
+            gain, fit = fit.cost - found.cost, found if found.cost < fit.cost else fit
+            if gain < LEAST_GAIN:
+                break
         fit = self.court.fitter.linearise(fit)
         self._count(fit.replay)
         return self.court.judge(None, fit)
