@@ -129,8 +129,11 @@ def test_fit_table_keeps_finished_cells(tmp_path, monkeypatch):
     assert len(fitted) == 4
     table = (tmp_path / "fit_quick.md").read_text()
     assert table.count("| gaussian | 0 |") == table.count("| mixture | 0 |") == 2
-    monkeypatch.setattr(fit_bench, "CELLS", (("softmax", "flow"),))
+    asked = []
+    make = fit_bench.make_simulator
+    monkeypatch.setattr(fit_bench, "make_simulator", lambda *a, device: asked.append(device) or make(*a, device="cpu"))
     fit_bench.run(True, tmp_path, "warp-cpu")
+    assert asked == ["warp-cpu"] * 4
     elsewhere = (tmp_path / "fit_warp-cpu_quick.md").read_text()
     assert "nfpde bench fit --device warp-cpu --quick" in elsewhere
     assert "MuJoCo Warp" in elsewhere
