@@ -129,6 +129,7 @@ def test_fit_table_keeps_finished_cells(tmp_path, monkeypatch):
     assert len(fitted) == 4
     table = (tmp_path / "fit_quick.md").read_text()
     assert table.count("| gaussian | 0 |") == table.count("| mixture | 0 |") == 2
+    monkeypatch.setattr(fit_bench, "facts_of_device", lambda body, device: {"device": f"{device}: MuJoCo Warp"})
     asked = []
     make = fit_bench.make_simulator
     monkeypatch.setattr(fit_bench, "make_simulator", lambda *a, device: asked.append(device) or make(*a, device="cpu"))
