@@ -242,3 +242,21 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
         left = Trial(None, ANYTHING, np.zeros(40), size * noise)
         found = selection._accept(left, [Trial(friction, ANYTHING, rng.uniform(1, 2, 40), noise)], first_gap)
         assert (found is not None) is named
+
+
+def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
+    """Where most density is gained in one block alone, the candidate that gains in every block is accepted."""
+    rng = np.random.default_rng(10)
+    block = np.arange(40) // 4
+    held = 3 * rng.normal(size=(40, 2, 4))
+    court = Court(SimpleNamespace(block=block), ANYTHING, np.zeros((2, 4)), np.zeros(0))  # type: ignore[arg-type]
+    selection = Selection(ANYTHING, None, 1, court, Yardstick(np.ones((2, 4)), rng.normal(size=(40, 2, 4))), [])
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    damping = effect("viscous_damping", "elbow", damping=(0.0, 1.0))
+    base = Trial(None, ANYTHING, np.zeros(40), held)
+    lucky = Trial(friction, ANYTHING, np.where(block == 0, 40.0, rng.normal(size=40)), held / 3)
+    steady = Trial(damping, ANYTHING, rng.uniform(1, 2, 40), held / 3)
+    found = selection._accept(base, [lucky, steady], selection._gap(base))
+    assert found is not None
+    assert found[1].effect is damping
+    assert selection._accept(base, [lucky], selection._gap(base)) is None

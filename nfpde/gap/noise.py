@@ -61,7 +61,8 @@ def _constant(noise: Student) -> float:
 def learn_scatter(residuals: Array, fitted: int, floor: Array) -> Scatter:
     """Maximum-likelihood scatter of residuals (N, nv, C) that `fitted` parameters were fitted to."""
     share = max(1, fitted // residuals.shape[1])
-    return Scatter(tuple(learn_student([residuals[:, d]], share, floor[d]) for d in range(residuals.shape[1])), floor)
+    parts = range(residuals.shape[1])
+    return Scatter(tuple(learn_student([residuals[:, d]], share, floor[d], thrifty=False) for d in parts), floor)
 
 
 def floor_of(residuals: Array, moved: Array) -> Array:

@@ -168,12 +168,16 @@ class Selection:
         tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
         trials = [t for t in trials if gap - self._gap(t) >= worth]
-        if not trials:
+        # each is tested at its share of the level: any that passes has been asked for
+        sure = []
+        for trial in trials:
+            gain, _, p = self.court.gain(trial, current)
+            if gain > 0 and p <= LEVEL / tried:
+                sure.append(trial)
+        if not sure:
             return None
-        best = trials[0]
-        gain, _, p = self.court.gain(best, current)
-        if gain <= 0 or p > LEVEL / tried:
-            return None
+        best = sure[0]
+        gain = self.court.gain(best, current)[0]
         block = self.court.recordings.block
         near, equal = [], []
         for trial in trials:
@@ -183,7 +187,7 @@ class Selection:
             if apart > APART or trial in near:
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
-        chosen = min(near, key=lambda t: (len(_parameters(t)), -t.density.mean()))
+        chosen = min((t for t in near if t in sure), key=lambda t: (len(_parameters(t)), -t.density.mean()))
         if chosen.effect is None:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))

@@ -40,7 +40,7 @@ class Student:
         return (self.degrees + len(self.whitener)) / (self.degrees + squares)
 
 
-def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Student:
+def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thrifty: bool = True) -> Student:
     """Maximum-likelihood noise of the residuals of all robots at their best parameters.
 
     Sensor noise in a window's start spreads over the channels of its end, so the scatter is a full matrix where there
@@ -51,6 +51,8 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Stud
         residuals: (n_g, C) for every robot; windows that diverged (NaN) are left out.
         fitted: number of parameters fitted to them.
         floor: standard deviation below which no channel is believed, (C,).
+        thrifty: whether tails must pay for themselves; not where windows that no fit saw are judged, one of which may
+            surprise a Gaussian.
 
     Returns:
         The noise.
@@ -62,7 +64,7 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Stud
     best: tuple[float, Student] | None = None
     for degrees in DEGREES:
         whitener, score = _scatter(r, float(degrees), n / left, full=n >= 5 * channels)
-        score -= tails_cost(float(degrees), n) / n
+        score -= tails_cost(float(degrees), n) / n if thrifty else 0.0
         if best is None or score > best[0]:
             best = score, Student(whitener / floor[:, None], float(degrees))
     if best is None:
