@@ -74,6 +74,12 @@ FULL = (
 QUICK = tuple(case for case in FULL if case.n <= 300 or case.m == 10)
 LARGE = tuple(Case(20000, 20000, 6, "gauss", w) for w in ("uniform", "random"))
 """Cases without peers: their tables of 3.2 GB, and ten more for POT, are beyond many a machine."""
+THREADS = (
+    LARGE[0],
+    Case(10000, 10000, 30, "gauss", "uniform"),
+    Case(5000, 5000, 200, "gauss", "uniform"),
+)
+"""Cases for several threads, which share the passes over all pairs: more of the work the more coordinates there are."""
 
 
 def clouds(case: Case) -> tuple[Array, Array, Array | None, Array | None]:
@@ -141,7 +147,7 @@ def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
     if peers:
         peers.close()
     large = [] if quick else [parts.get(str(case), partial(_measure_alone, case)) for case in LARGE]
-    threads = [] if quick else [parts.get(f"threads, {case}", partial(_threads, case)) for case in LARGE]
+    threads = [] if quick else [parts.get(f"threads, {case}", partial(_threads, case)) for case in THREADS]
     write_whole(out / f"{name}.json", json.dumps({**facts, "rows": rows, "large": large, "threads": threads}, indent=1))
     page = table(rows, large, threads, facts, (SLOW, WARM))
     print(page)

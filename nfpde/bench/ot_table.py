@@ -83,7 +83,8 @@ def table(
                     "|---|---|---|---|",
                     *(_large(row, rows) for row in large),
                     "",
-                    "Wall time by threads, in turn, as many times faster than one:",
+                    "Wall time by threads, in turn, as many times faster than one. They share the passes over all "
+                    "pairs, not the search along paths:",
                     "",
                     "| case | one thread, s | threads | same bits |",
                     "|---|---|---|---|",
