@@ -67,7 +67,9 @@ class EmdResult:
         cost: Total cost of the plan: sum of mass times cost.
         plan: The plan.
         potentials: alpha (n,) and beta (m,), with alpha[i] + beta[j] <= cost[i, j] for every pair up to rounding.
-        gap: cost - (a @ alpha + b @ beta): how far at most the cost is above the optimum; zero up to rounding.
+        gap: cost - (a @ alpha + b @ beta): how far at most the cost is above the optimum; zero up to rounding. Masses
+            are rounded to quanta of about 2^-61 of their total: where points with less than some 1e-13 of the mass pay
+            nearly all of the cost, the gap may be far more than 1e-12 of it.
     """
 
     cost: float

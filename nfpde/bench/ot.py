@@ -140,7 +140,7 @@ def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
     }
     out.mkdir(parents=True, exist_ok=True)
     name = "ot_quick" if quick else "ot"
-    parts, rows = Partial(out / f"{name}.partial.json", facts), []
+    parts, rows = Partial(out / f"{name}.part.json", facts), []
     for case in QUICK if quick else FULL:
         rows.append(parts.get(str(case), partial(_measure, case, peers)))
         print(line(rows[-1]), flush=True)

@@ -169,15 +169,12 @@ class Selection:
         # what fits the noise better and leaves the gap explains nothing
         trials = [t for t in trials if gap - self._gap(t) >= worth]
         # each is tested at its share of the level: any that passes has been asked for
-        sure = []
-        for trial in trials:
-            gain, _, p = self.court.gain(trial, current)
-            if gain > 0 and p <= LEVEL / tried:
-                sure.append(trial)
-        if not sure:
+        tests = [(trial, *self.court.gain(trial, current)) for trial in trials]
+        gains = [(trial, gain) for trial, gain, _, p in tests if gain > 0 and p <= LEVEL / tried]
+        if not gains:
             return None
-        best = sure[0]
-        gain = self.court.gain(best, current)[0]
+        best, gain = gains[0]
+        sure = [trial for trial, _ in gains]
         block = self.court.recordings.block
         near, equal = [], []
         for trial in trials:

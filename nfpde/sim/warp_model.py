@@ -239,10 +239,12 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
             warnings.simplefilter("ignore")
             return mjw.put_model(model)
     except (NotImplementedError, ValueError) as error:
+        # it refuses features by the one, and sizes and combinations of options by the other; the model is all it is
+        # given, so either is about the model, and the cause stays attached
         raise BadModel(
             f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "
             "device='cpu'"
-        ) from None
+        ) from error
 
 
 def _floats(array: wp.array, size: int) -> wp.array:
