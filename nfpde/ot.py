@@ -67,9 +67,12 @@ class EmdResult:
         cost: Total cost of the plan: sum of mass times cost.
         plan: The plan.
         potentials: alpha (n,) and beta (m,), with alpha[i] + beta[j] <= cost[i, j] for every pair up to rounding.
-        gap: cost - (a @ alpha + b @ beta): how far at most the cost is above the optimum; zero up to rounding. Masses
-            are rounded to quanta of about 2^-61 of their total: where points with less than some 1e-13 of the mass pay
-            nearly all of the cost, the gap may be far more than 1e-12 of it.
+        gap: cost - (a @ alpha + b @ beta), summed from its parts without cancellation: how far at most the cost is
+            above the optimum. At most 1e-12 of the cost; where the dual value is made of far larger numbers, as for
+            clouds that nearly coincide, at most eight units in the last place of those, weighted with their masses.
+            The optimum is that of the weights to their last bit, those of y taken as shares of the total of x's, so
+            that a light point has the mass of its own weight, down to 1e-60 of the total. Whether a difference of
+            1e-16 between the sums of heavy weights is meant only the caller can know.
     """
 
     cost: float
@@ -104,8 +107,7 @@ def emd(
 
     Raises:
         BadInput: An argument breaks one of these rules; the text names the index at fault.
-        NotOptimal: Rounding kept the solver from a plan it can prove; seen only where the cost is below 1e-5 of the
-            largest distance.
+        NotOptimal: No plan could be proven as `EmdResult.gap` promises, also with more care; the text says what to do.
 
     Example:
         >>> result = emd([[0.0], [1.0]], [[2.0], [4.0]])
@@ -135,8 +137,7 @@ def emd_matrix(
 
     Raises:
         BadInput: An argument breaks one of these rules; the text names the index at fault.
-        NotOptimal: Rounding kept the solver from a plan it can prove; seen only where the total is below 1e-5 of the
-            largest cost.
+        NotOptimal: No plan could be proven as `EmdResult.gap` promises, also with more care; the text says what to do.
 
     Example:
         >>> emd_matrix([[0.0, 1.0], [1.0, 0.0]], [0.75, 0.25], [0.5, 0.5]).cost
@@ -170,7 +171,7 @@ def wasserstein(
 
     Raises:
         BadInput: An argument breaks one of these rules; the text names the index at fault.
-        NotOptimal: Rounding kept the solver from a plan it can prove.
+        NotOptimal: No plan could be proven as `EmdResult.gap` promises, also with more care.
 
     Example:
         >>> wasserstein([[0.0, 0.0]], [[3.0, 4.0]], p=2)

@@ -60,3 +60,12 @@ def check_certificate(result: EmdResult, cost: np.ndarray, a: np.ndarray, b: np.
 def distances(x: np.ndarray, y: np.ndarray, metric: str = "euclidean") -> np.ndarray:
     """The cost matrix, (n, m), from direct differences."""
     return cdist(x, y, metric)  # type: ignore[call-overload]
+
+
+def least_size(alpha: np.ndarray, beta: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """What the dual value is made of: sum of a |alpha| + b |beta|, counted from where that is least."""
+    places, weights = np.concatenate([alpha, -beta]), np.concatenate([a, b])
+    order = np.argsort(places)
+    half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
+    median = places[order[min(half, len(order) - 1)]]
+    return float(weights @ np.abs(places - median))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nfpde.errors import BadInput, NotOptimal
+from nfpde.errors import BadInput
 from nfpde.ot import EmdResult, emd, emd_matrix, wasserstein
-from tests.ot_cases import distances
+from tests.ot_cases import distances, least_size
 
 COUNT = int(os.environ.get("NFPDE_FUZZ", "4000"))
 BATCH = 1000
@@ -27,6 +26,8 @@ METRICS = ("euclidean", "sqeuclidean", "cityblock")
 
 #: Sums of some dozen products, and costs that the test computes in another order.
 ROUNDING = 1e-12
+#: What may be left unproven of any cost.
+GAP = 1e-12
 #: Where squares and sums neither overflow nor vanish, the test can compute every cost itself.
 SAFE = (1e-140, 1e140)
 #: What an answer is refused for although every argument keeps the rules.
@@ -132,11 +133,9 @@ def _check(result: EmdResult, cost: np.ndarray | None, made: Input) -> None:
     assert (plan.mass > 0).all()
     assert np.abs(np.bincount(plan.rows, plan.mass, n) - a).max() <= ROUNDING
     assert np.abs(np.bincount(plan.cols, plan.mass, m) - b).max() <= ROUNDING
-    size = abs(result.cost) + float(a @ np.abs(alpha) + b @ np.abs(beta))
     assert math.isfinite(result.cost)
-    # Totals of one are known to a unit in the last place only, and any potential may be its price.
-    unit = 4 * np.finfo(float).eps * max(np.abs(alpha).max(), np.abs(beta).max())
-    assert abs(result.gap) <= ROUNDING * size + unit
+    # What rounding leaves of a dual value far larger than the cost: ten units, for eight that the solver excuses.
+    assert abs(result.gap) <= GAP * abs(result.cost) + 10 * np.finfo(float).eps * least_size(alpha, beta, a, b)
     if cost is not None:
         # A reduced cost is as exact as the numbers it is made of, among them sums of costs along the plan.
         scale = np.abs(cost) + np.abs(alpha)[:, None] + np.abs(beta) + np.median(np.abs(cost))
@@ -176,13 +175,6 @@ def _try(rng: np.random.Generator, outcomes: Counter[str]) -> None:
         assert any(due in text for due in made.due) or any(part in text for part in OUT_OF_RANGE.split("|")), text
         outcomes["refused" if made.due else "out of range"] += 1
         return
-    except NotOptimal as error:
-        # A cost far below the largest distance is a small difference of potentials that are not: its digits may be
-        # too few for a proof to 1e-11.
-        if not any(abs(float(cost)) < 1e-5 for cost in re.findall(r"the plan costs (\S+) but", str(error))):
-            raise
-        outcomes["not proven"] += 1
-        return
     assert not made.due, made.due
     outcomes["solved"] += 1
     if isinstance(result, EmdResult):
@@ -205,4 +197,3 @@ def test_random_input():
                 raise AssertionError(f"batch {batch}, trial {trial}, so far {dict(outcomes)}: {error!r}") from error
     print(dict(outcomes))
     assert outcomes["solved"] > outcomes["refused"] > 0
-    assert outcomes["not proven"] <= 3 + outcomes["solved"] / 10_000  # rare, even among costs of all sizes

@@ -36,22 +36,6 @@ def test_on_a_line_sorting_gives_every_order(p):
     assert wasserstein(x, y, p) == pytest.approx(expected, rel=SAME)
 
 
-def test_points_with_hardly_any_mass_leave_the_proof_exact():
-    """Costs over forty decades, one point with nearly all mass and one with none: proven up to a quantum of mass."""
-    for seed in range(400):
-        rng = np.random.default_rng(seed)
-        n, m = rng.integers(3, 30, 2)
-        cost = distances(rng.normal(size=(n, 3)), rng.normal(size=(m, 3))) ** 40
-        cost /= cost.max()
-        a, b = np.ones(n), rng.exponential(size=m)
-        a[0], b[rng.integers(m)] = 0.0, 1e15
-        a, b = a / a.sum(), b / b.sum()
-        for c, left, right in ((cost, a, b), (cost.T, b, a)):
-            result = emd_matrix(c, left, right)
-            sizes = sum(np.abs(p).sum() for p in result.potentials)
-            assert abs(result.gap) <= 1e-11 * result.cost + 2.0**-59 * sizes
-
-
 def test_points_on_a_common_line_in_space():
     """Points of a line in R^5 have the distance of their positions along it."""
     s, t = clouds("gauss", 50, 61, 1)

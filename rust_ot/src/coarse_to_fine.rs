@@ -5,8 +5,7 @@ use crate::coarse::{self, Share};
 use crate::cost::Cost;
 use crate::error::OtError;
 use crate::few_columns::{self, Columns};
-use crate::masses::Compensated;
-use crate::network_simplex::{self, Table};
+use crate::network_simplex::{self, Table, Tolerance};
 use crate::scan::Workers;
 use crate::simd::{LeastSum, run};
 use crate::sparse_assignment;
@@ -27,14 +26,12 @@ pub const SMALL_SIDE: usize = 32;
 pub const COLD_PAIRS: usize = 40_000;
 /// The same for assignments.
 pub const ASSIGNMENT_PAIRS: usize = 1_100_000;
-/// Share of the cost that may be left unproven before other potentials of the same plan are tried.
-const ROUNDING: f64 = 1e-12;
 
 /// An optimal plan and potentials that are feasible for every pair.
 #[derive(Clone, Debug)]
-pub struct Optimum {
+pub struct Optimum<M = i64> {
     /// `(row, column, mass)`.
-    pub arcs: Vec<(usize, usize, i64)>,
+    pub arcs: Vec<(usize, usize, M)>,
     /// Potentials of the rows.
     pub u: Vec<f64>,
     /// Potentials of the columns.
@@ -51,35 +48,13 @@ impl Optimum {
             v: tree.col_potentials_negated().iter().map(|v| -v).collect(),
         }
     }
+}
 
+impl<M> Optimum<M> {
     /// Makes the potentials feasible for the whole table: those of the rows become the least `cost - v`.
-    fn tighten(&mut self, costs: &[f64]) {
+    pub fn tighten(&mut self, costs: &[f64]) {
         let minus_v: Vec<f64> = self.v.iter().map(|v| -v).collect();
         self.u = costs.chunks_exact(minus_v.len()).map(|row| run(LeastSum(row, &minus_v)).0).collect();
-    }
-
-    /// Makes them feasible by those of the columns: the rounding of large potentials of columns with hardly any mass
-    /// then counts for as little as these, where `tighten` would hand it to rows with much.
-    fn tighten_columns(&mut self, costs: &[f64]) {
-        self.v.fill(f64::INFINITY);
-        for (row, u) in costs.chunks_exact(self.v.len()).zip(&self.u) {
-            for (v, c) in self.v.iter_mut().zip(row) {
-                *v = v.min(c - u);
-            }
-        }
-    }
-
-    /// What the potentials leave unproven of the plan's cost, as a share of it.
-    fn doubt(&self, cost: &dyn Cost, rows: &[i64], cols: &[i64]) -> f64 {
-        let (mut primal, mut gap) = (Compensated::default(), Compensated::default());
-        for &(i, j, mass) in &self.arcs {
-            primal.add(mass as f64 * cost.at(i, j));
-        }
-        gap.add(primal.value());
-        for (&mass, p) in rows.iter().zip(&self.u).chain(cols.iter().zip(&self.v)) {
-            gap.add(-(mass as f64 * p));
-        }
-        if gap.value() == 0.0 { 0.0 } else { (gap.value() / primal.value()).abs() }
     }
 }
 
@@ -152,7 +127,8 @@ fn solve_square(
     Ok(best.map(optimum))
 }
 
-fn table(cost: &dyn Cost) -> Vec<f64> {
+/// The whole table, row by row.
+pub fn table(cost: &dyn Cost) -> Vec<f64> {
     let mut costs = vec![0.0; cost.rows() * cost.cols()];
     for (row, out) in costs.chunks_exact_mut(cost.cols()).enumerate() {
         cost.fill_row(row, out);
@@ -164,20 +140,12 @@ fn table(cost: &dyn Cost) -> Vec<f64> {
 fn solve_table(cost: &dyn Cost, rows: &[i64], cols: &[i64], watch: &mut Watch<'_>) -> Result<Optimum, OtError> {
     let (costs, m) = (table(cost), cols.len());
     let star = ThreadedTree::star(rows, cols, sparse_transport::artificial_cost(cost));
-    let tree = network_simplex::solve(Table { costs: &costs, cols: m }, star, cost.bound(), watch)?;
+    let tolerance = Tolerance::new(cost.bound(), rows.len() + m + 1);
+    let tree = network_simplex::solve(Table { costs: &costs, cols: m }, star, tolerance, None, watch)?;
     let v = tree.col_potentials_negated().iter().map(|v| -v).collect();
     let mut best = Optimum { arcs: tree.arcs().collect(), u: Vec::new(), v };
     count_from_heaviest(&mut best.v, cols);
     best.tighten(&costs);
-    let doubt = best.doubt(cost, rows, cols);
-    if doubt > ROUNDING {
-        let mut other = Optimum { u: tree.row_potentials().to_vec(), ..best.clone() };
-        count_from_heaviest(&mut other.u, rows);
-        other.tighten_columns(&costs);
-        if other.doubt(cost, rows, cols) < doubt {
-            return Ok(other);
-        }
-    }
     Ok(best)
 }
 
@@ -197,21 +165,11 @@ fn solve_few(
         return solve_table(cost, rows, cols, watch);
     };
     let few_columns::Optimum { mut arcs, u, v } = found;
-    let best = if upright {
-        Optimum { arcs, u, v }
-    } else {
-        arcs.iter_mut().for_each(|(i, j, _)| std::mem::swap(i, j));
-        Optimum { arcs, u: v, v: u }
-    };
-    // A path is free up to rounding of the numbers along it, which may be far larger than those that the mass pays.
-    let doubt = best.doubt(cost, rows, cols);
-    if doubt > ROUNDING {
-        let other = solve_table(cost, rows, cols, watch)?;
-        if other.doubt(cost, rows, cols) < doubt {
-            return Ok(other);
-        }
+    if upright {
+        return Ok(Optimum { arcs, u, v });
     }
-    Ok(best)
+    arcs.iter_mut().for_each(|(i, j, _)| std::mem::swap(i, j));
+    Ok(Optimum { arcs, u: v, v: u })
 }
 
 /// Shifts the potentials of one side so that its heaviest point has none, and what most of the mass pays is not a small

@@ -1,6 +1,9 @@
 //! Real weights to integer masses, so that every flow is exact and feasibility is never in doubt.
 
 use crate::error::{OtError, bad};
+use crate::mass::Mass;
+use crate::precise::{Pair, less_product, quotient, two_sum};
+use ethnum::{AsI256, I256};
 
 /// Largest relative difference allowed between the totals of the two sides.
 pub const MAX_SUM_DIFFERENCE: f64 = 1e-9;
@@ -8,19 +11,24 @@ pub const MAX_SUM_DIFFERENCE: f64 = 1e-9;
 /// Totals below this are refused: their atoms lie where numbers lose digits.
 const SMALLEST_TOTAL: f64 = 1e-250;
 
+/// Weights of the rows and of the columns; `None` stands for equal weights.
+pub type Weights<'a> = (Option<&'a [f64]>, Option<&'a [f64]>);
+
 /// Integer masses of both sides with one common total.
 #[derive(Clone, Debug)]
-pub struct Masses {
+pub struct Masses<M = i64> {
     /// Mass of each row, in quanta.
-    pub rows: Vec<i64>,
+    pub rows: Vec<M>,
     /// Mass of each column, in quanta; same total as the rows.
-    pub cols: Vec<i64>,
+    pub cols: Vec<M>,
+    /// That total.
+    pub quanta: M,
     /// Share of the total in one quantum.
     pub unit: f64,
     /// Total weight of the rows, and of the plan.
     pub total_rows: f64,
-    /// Total weight of the columns.
-    pub total_cols: f64,
+    /// Total weights of the rows and of the columns, to twice the digits of a float.
+    pub totals: (Pair, Pair),
     /// Every atom of either side weighs the same as its neighbours.
     pub uniform: bool,
 }
@@ -36,7 +44,8 @@ pub fn integer_masses(a: Option<&[f64]>, b: Option<&[f64]>, n: usize, m: usize) 
     if let Some(b) = b {
         check_weights("b", b, m)?;
     }
-    let (sum_a, sum_b) = (a.map(accurate_sum), b.map(accurate_sum));
+    let totals = (a.map_or((n as f64, 0.0), sum_in_parts), b.map_or((m as f64, 0.0), sum_in_parts));
+    let (sum_a, sum_b) = (a.map(|_| totals.0.0), b.map(|_| totals.1.0));
     let total_a = sum_a.or(sum_b).unwrap_or(1.0);
     let total_b = sum_b.unwrap_or(total_a);
     if !total_a.is_finite() || !total_b.is_finite() {
@@ -67,7 +76,96 @@ pub fn integer_masses(a: Option<&[f64]>, b: Option<&[f64]>, n: usize, m: usize) 
         *shared = apportion(shared, quanta);
         (as_signed(&rows), as_signed(&cols), quanta)
     };
-    Ok(Masses { rows, cols, unit: 1.0 / quanta as f64, total_rows: total_a, total_cols: total_b, uniform })
+    let quanta = quanta as i64;
+    Ok(Masses { rows, cols, quanta, unit: 1.0 / quanta as f64, total_rows: total_a, totals, uniform })
+}
+
+/// The same masses in quanta of 2^-250 of the total: what float64 weights of seventy decades hold, exactly. The columns
+/// take the total of the rows in proportion.
+#[must_use]
+pub fn fine_masses((a, b): Weights<'_>, coarse: &Masses) -> Masses<I256> {
+    let (n, m) = (coarse.rows.len(), coarse.cols.len());
+    let lift = 250 - exponent_of(coarse.total_rows);
+    let (rows, cols) = match (a, b) {
+        (Some(a), b) if !coarse.uniform => {
+            let rows = finest(a, lift);
+            let quanta = sum(&rows);
+            let cols = b.map_or_else(|| equal_shares(m, quanta), |b| in_proportion(finest(b, lift), quanta));
+            (rows, cols)
+        }
+        (None, Some(b)) if !coarse.uniform => {
+            let cols = finest(b, lift);
+            (equal_shares(n, sum(&cols)), cols)
+        }
+        _ => (widened(&coarse.rows), widened(&coarse.cols)),
+    };
+    let quanta = sum(&rows);
+    Masses {
+        rows,
+        cols,
+        quanta,
+        unit: 1.0 / quanta.to_f64(),
+        total_rows: coarse.total_rows,
+        totals: coarse.totals,
+        uniform: coarse.uniform,
+    }
+}
+
+fn widened(masses: &[i64]) -> Vec<I256> {
+    masses.iter().map(|&mass| I256::from(mass)).collect()
+}
+
+fn sum(masses: &[I256]) -> I256 {
+    masses.iter().fold(I256::ZERO, |sum, &mass| sum + mass)
+}
+
+/// Weights times `2^lift` as integers; only bits below a quantum are lost.
+fn finest(weights: &[f64], lift: i32) -> Vec<I256> {
+    let whole = |weight: f64| {
+        let exponent = exponent_of(weight);
+        let mantissa = I256::from(times_power_of_two(weight, 52 - exponent) as i64);
+        let shift = exponent - 52 + lift;
+        if shift >= 0 { mantissa << shift } else { mantissa >> (-shift).min(63) }
+    };
+    weights.iter().map(|&weight| if weight == 0.0 { I256::ZERO } else { whole(weight) }).collect()
+}
+
+/// Masses with another total near their own, each changed in proportion to some 25 digits; the heaviest takes the rest.
+fn in_proportion(mut masses: Vec<I256>, total: I256) -> Vec<I256> {
+    let whole = sum(&masses);
+    let change = (total - whole).to_f64() / whole.to_f64();
+    for mass in &mut masses {
+        *mass += (mass.to_f64() * change).as_i256();
+    }
+    let rest = total - sum(&masses);
+    if let Some(heaviest) = masses.iter_mut().max() {
+        *heaviest += rest;
+    }
+    masses
+}
+
+fn equal_shares(len: usize, total: I256) -> Vec<I256> {
+    let share = total / I256::from(len as u64);
+    let mut shares = vec![share; len];
+    shares[0] = total - share * I256::from(len as u64 - 1);
+    shares
+}
+
+/// Sum with Neumaier's compensation, whose error does not grow with the number of terms, as the float and what it leaves.
+fn sum_in_parts(values: &[f64]) -> Pair {
+    let mut sum = Compensated::default();
+    values.iter().for_each(|&value| sum.add(value));
+    two_sum(sum.sum, sum.rest)
+}
+
+/// The sum of potentials times what the masses of a side have beyond the shares of its weights, in quanta.
+#[must_use]
+pub fn excess<M: Mass>(masses: &[M], weights: &[f64], total: Pair, quanta: M, potentials: &[f64]) -> f64 {
+    // Totals near one, so that nothing leaves the range of numbers on the way.
+    let factor = times_power_of_two(1.0, -exponent_of(total.0));
+    let per_weight = quotient(quanta.parts(), (total.0 * factor, total.1 * factor));
+    let excess = |mass: M, weight: f64| less_product(mass.parts(), weight * factor, per_weight);
+    masses.iter().zip(weights).zip(potentials).map(|((&mass, &weight), p)| excess(mass, weight) * p).sum()
 }
 
 fn check_weights(name: &str, weights: &[f64], len: usize) -> Result<(), OtError> {
@@ -98,15 +196,6 @@ fn gcd(a: u64, b: u64) -> u64 {
 
 fn as_signed(masses: &[u64]) -> Vec<i64> {
     masses.iter().map(|&mass| mass as i64).collect()
-}
-
-/// Sum with Neumaier's compensation: the error does not grow with the number of terms.
-pub fn accurate_sum(values: &[f64]) -> f64 {
-    let mut sum = Compensated::default();
-    for &value in values {
-        sum.add(value);
-    }
-    sum.value()
 }
 
 /// A running sum with Neumaier's compensation.
@@ -191,13 +280,29 @@ mod tests {
     fn totals_agree_and_shares_are_close() {
         let a: Vec<f64> = (1..=7).map(|i| 1.0 / f64::from(i)).collect();
         let b: Vec<f64> = (1..=11).map(|i| f64::from(i).sqrt()).collect();
-        let (sum_a, sum_b) = (accurate_sum(&a), accurate_sum(&b));
+        let (sum_a, sum_b) = (sum_in_parts(&a).0, sum_in_parts(&b).0);
         let a: Vec<f64> = a.iter().map(|w| w / sum_a).collect();
         let b: Vec<f64> = b.iter().map(|w| w / sum_b).collect();
         let masses = integer_masses(Some(&a), Some(&b), 7, 11).unwrap();
         assert_eq!(masses.rows.iter().sum::<i64>(), masses.cols.iter().sum::<i64>());
         for (weight, mass) in a.iter().zip(&masses.rows).chain(b.iter().zip(&masses.cols)) {
             assert!((weight - *mass as f64 * masses.unit).abs() < 1e-16);
+        }
+    }
+
+    #[test]
+    fn fine_masses_are_the_weights_in_proportion() {
+        let a = [0.999_999_999_999_995_3, 3.2e-15, 1.1e-15, 2.9e-16, 1e-60];
+        let b = [0.2; 5];
+        let masses = fine_masses((Some(&a), Some(&b)), &integer_masses(Some(&a), Some(&b), 5, 5).unwrap());
+        assert_eq!(sum(&masses.rows), sum(&masses.cols));
+        let sides = [(&masses.rows, &a, masses.totals.0), (&masses.cols, &b, masses.totals.1)];
+        for (side, weights, total) in sides {
+            for k in 0..5 {
+                let of_one = std::array::from_fn::<f64, 5, _>(|i| f64::from(u8::from(i == k)));
+                let excess = excess(side, weights, total, masses.quanta, &of_one) * masses.unit;
+                assert!(excess.abs() <= 1e-25 * weights[k], "{excess:e} of {}", weights[k]);
+            }
         }
     }
 

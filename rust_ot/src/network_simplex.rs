@@ -1,6 +1,7 @@
 //! Network simplex over a full table of costs: the tree does the moves, whole blocks of rows are priced at once.
 
 use crate::error::OtError;
+use crate::mass::Mass;
 use crate::simd::{LeastSum, run};
 use crate::threaded_tree::ThreadedTree;
 use crate::watch::Watch;
@@ -8,8 +9,10 @@ use crate::watch::Watch;
 /// How negative a reduced cost must be to count: more than rounding can make it.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
+    /// As a share of the numbers that a reduced cost is made of, and of typical potentials.
+    share: f64,
+    typical_share: f64,
     floor: f64,
-    growth: f64,
     pivots_left: u64,
 }
 
@@ -17,7 +20,12 @@ impl Tolerance {
     /// A tolerance of some dozen units in the last place of numbers as large as `size`.
     #[must_use]
     pub fn new(size: f64, nodes: usize) -> Self {
-        Self { floor: Self::SHARE * size, growth: 1.0, pivots_left: 200 * nodes as u64 + 10_000 }
+        Self {
+            share: Self::SHARE,
+            typical_share: Self::SHARE,
+            floor: Self::SHARE * size,
+            pivots_left: 200 * nodes as u64 + 10_000,
+        }
     }
 
     /// A tolerance for given potentials.
@@ -25,11 +33,18 @@ impl Tolerance {
         Self::new(typical_size(potentials.clone()), potentials.count())
     }
 
+    /// A tolerance of two units in the last place of a reduced cost's own numbers: just more than its rounding.
+    #[must_use]
+    pub fn fine(nodes: usize) -> Self {
+        Self { share: Self::FINE_SHARE, typical_share: 0.0, ..Self::new(0.0, nodes) }
+    }
+
     const SHARE: f64 = 7.2e-15;
+    const FINE_SHARE: f64 = 2.0 * f64::EPSILON;
 
     /// Takes over the size of the potentials, the last of which is the root's, after they were computed again.
     pub fn adapt(&mut self, pi: &[f64]) {
-        self.floor = Self::SHARE * self.growth * typical_size(pi[..pi.len() - 1].iter());
+        self.floor = self.typical_share * typical_size(pi[..pi.len() - 1].iter());
     }
 
     /// Counts a pivot. A search that goes on for very long is turning in rounding errors: it gets more tolerance, and
@@ -38,7 +53,7 @@ impl Tolerance {
         self.pivots_left -= 1;
         if self.pivots_left == 0 {
             self.pivots_left = 20 * pi.len() as u64 + 1_000;
-            self.growth *= 4.0;
+            self.typical_share = (4.0 * self.typical_share).max(Self::FINE_SHARE);
             self.adapt(pi);
         }
     }
@@ -53,7 +68,7 @@ impl Tolerance {
     #[inline(always)]
     #[must_use]
     pub fn is_negative(&self, reduced: f64, cost: f64, u: f64, v: f64) -> bool {
-        reduced < -(self.floor + Self::SHARE * (cost.abs() + u.abs() + v.abs()))
+        reduced < -(self.floor + self.share * (cost.abs() + u.abs() + v.abs()))
     }
 }
 
@@ -73,18 +88,19 @@ pub struct Table<'a> {
     pub cols: usize,
 }
 
-/// Improves a tree until it is optimal for the table; `big` bounds every absolute cost.
+/// Improves a tree until it is optimal for the table up to the tolerance; potentials are counted from node `origin`, or
+/// from a typical one.
 ///
 /// # Errors
 /// `Interrupted` or `NotOptimal`, from the watch.
-pub fn solve(
+pub fn solve<M: Mass>(
     table: Table<'_>,
-    mut tree: ThreadedTree,
-    big: f64,
+    mut tree: ThreadedTree<M>,
+    mut tolerance: Tolerance,
+    origin: Option<usize>,
     watch: &mut Watch<'_>,
-) -> Result<ThreadedTree, OtError> {
+) -> Result<ThreadedTree<M>, OtError> {
     let rows = table.costs.len() / table.cols;
-    let mut tolerance = Tolerance::new(big, tree.pi.len());
     watch.ask()?;
     let block = ((1.5 * (table.costs.len() as f64).sqrt() / table.cols as f64).ceil() as usize).clamp(1, rows);
     let mut row = 0;
@@ -108,16 +124,19 @@ pub fn solve(
         if pivots == 0 {
             return Ok(tree);
         }
-        tree.refresh_potentials();
+        match origin {
+            Some(node) => tree.refresh_from(node),
+            None => tree.refresh_potentials(),
+        }
         tolerance.adapt(&tree.pi);
     }
 }
 
 /// The most negative arc of the rows, if it is negative beyond rounding.
-fn price_rows(
+fn price_rows<M: Mass>(
     table: Table<'_>,
     rows: std::ops::Range<usize>,
-    tree: &ThreadedTree,
+    tree: &ThreadedTree<M>,
     tolerance: Tolerance,
 ) -> Option<(usize, usize, f64)> {
     let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());

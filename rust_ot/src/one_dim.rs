@@ -1,12 +1,14 @@
 //! Exact transport on a line, by sorting: for a convex cost the monotone plan is optimal.
 
+use crate::mass::Mass;
 use crate::masses::Masses;
+use crate::precise::{Pair, difference};
 
 /// The monotone plan and potentials that are tight along it.
 #[derive(Clone, Debug)]
-pub struct LinePlan {
+pub struct LinePlan<M> {
     /// `(row, column, mass)` of the arcs with mass.
-    pub arcs: Vec<(usize, usize, i64)>,
+    pub arcs: Vec<(usize, usize, M)>,
     /// Potentials of the rows.
     pub alpha: Vec<f64>,
     /// Potentials of the columns.
@@ -16,38 +18,51 @@ pub struct LinePlan {
 /// Solves `x`, `y` on a line for a cost that is a convex function of the difference.
 ///
 /// Sorted, such costs have the Monge property, so potentials tight along a staircase of pairs are feasible for all
-/// pairs, and the staircase that follows the cumulated masses carries the optimal plan.
+/// pairs, and the staircase that follows the cumulated masses carries the optimal plan. Costs and potentials are pairs
+/// of floats, so that each potential is right to half a unit in its last place however long the staircase is; they are
+/// counted from the heaviest point.
 #[must_use]
-pub fn solve(x: &[f64], y: &[f64], masses: &Masses, cost: impl Fn(f64, f64) -> f64) -> LinePlan {
+pub fn solve<M: Mass>(x: &[f64], y: &[f64], masses: &Masses<M>, cost: impl Fn(f64, f64) -> Pair) -> LinePlan<M> {
     let order_x = sorted(x);
     let order_y = sorted(y);
     let (n, m) = (x.len(), y.len());
-    let mut plan = LinePlan { arcs: Vec::with_capacity(n + m), alpha: vec![0.0; n], beta: vec![0.0; m] };
+    let mut arcs = Vec::with_capacity(n + m);
+    let (mut alpha, mut beta) = (vec![(0.0, 0.0); n], vec![(0.0, 0.0); m]);
     let (mut s, mut t) = (0, 0);
     let (mut left, mut open) = (masses.rows[order_x[0]], masses.cols[order_y[0]]);
-    plan.alpha[order_x[0]] = 0.0;
-    plan.beta[order_y[0]] = cost(x[order_x[0]], y[order_y[0]]);
+    beta[order_y[0]] = cost(x[order_x[0]], y[order_y[0]]);
     loop {
         let (i, j) = (order_x[s], order_y[t]);
         let mass = left.min(open);
-        if mass > 0 {
-            plan.arcs.push((i, j, mass));
+        if mass > M::ZERO {
+            arcs.push((i, j, mass));
         }
         left -= mass;
         open -= mass;
         // Go on along the side that is used up; at a tie the row first, unless it is the last.
-        if s + 1 < n && (left == 0 || t + 1 == m) {
+        if s + 1 < n && (left == M::ZERO || t + 1 == m) {
             s += 1;
             left = masses.rows[order_x[s]];
-            plan.alpha[order_x[s]] = cost(x[order_x[s]], y[j]) - plan.beta[j];
+            alpha[order_x[s]] = difference(cost(x[order_x[s]], y[j]), beta[j]);
         } else if t + 1 < m {
             t += 1;
             open = masses.cols[order_y[t]];
-            plan.beta[order_y[t]] = cost(x[i], y[order_y[t]]) - plan.alpha[i];
+            beta[order_y[t]] = difference(cost(x[i], y[order_y[t]]), alpha[i]);
         } else {
-            return plan;
+            break;
         }
     }
+    let zero = origin(masses, &alpha, &beta);
+    let alpha = alpha.iter().map(|&p| difference(p, zero).0).collect();
+    let beta = beta.iter().map(|&p| difference(p, (-zero.0, -zero.1)).0).collect();
+    LinePlan { arcs, alpha, beta }
+}
+
+/// The potential of the rows at which the heaviest point of either side has none.
+fn origin<M: Mass>(masses: &Masses<M>, alpha: &[Pair], beta: &[Pair]) -> Pair {
+    let negated = beta.iter().map(|p| (-p.0, -p.1));
+    let all = masses.rows.iter().zip(alpha.iter().copied()).chain(masses.cols.iter().zip(negated));
+    all.max_by_key(|(mass, _)| **mass).map_or((0.0, 0.0), |(_, potential)| potential)
 }
 
 fn sorted(values: &[f64]) -> Vec<usize> {

@@ -32,6 +32,8 @@ impl Points {
     /// # Errors
     /// `BadInput` for an empty set or a coordinate that is not finite.
     pub fn new(x: &[f64], y: &[f64], dim: usize, metric: Metric) -> Result<Self, OtError> {
+        // The root of a square is exact on a line, except where the square vanishes.
+        let metric = if dim == 1 && metric == Metric::Euclidean { Metric::CityBlock } else { metric };
         check_points("x", x, dim)?;
         check_points("y", y, dim)?;
         let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); dim];

@@ -1,9 +1,10 @@
 //! The answer in the caller's units, and the last checks it has to pass.
 
-use crate::certificate::{Potentials, certify};
+use crate::certificate::{GAP, Potentials, certify};
 use crate::cost::Cost;
 use crate::error::{OtError, bad};
-use crate::masses::{Compensated, Masses, times_power_of_two};
+use crate::mass::Mass;
+use crate::masses::{Compensated, Masses, Weights, exponent_of, times_power_of_two};
 
 /// An optimal plan with its proof.
 #[derive(Clone, Debug)]
@@ -24,45 +25,49 @@ pub struct Solution {
     pub gap: f64,
 }
 
-/// Shares of one side in its total; `None` stands for equal weights.
-fn shares(weights: Option<&[f64]>, len: usize, total: f64) -> impl Iterator<Item = f64> + '_ {
-    (0..len).map(move |i| weights.map_or(1.0 / len as f64, |w| w[i] / total))
+/// Masses times prices, for the masses of a plan as shares of the total.
+fn total<M: Mass>(arcs: &[(usize, usize, M)], prices: &[f64], masses: &Masses<M>) -> f64 {
+    let (mut sum, mut rest) = (Compensated::default(), 0.0);
+    let scale = times_power_of_two(1.0, -exponent_of(masses.quanta.to_f64()));
+    for (arc, price) in arcs.iter().zip(prices) {
+        let (near, left) = arc.2.parts();
+        let mass = near * scale;
+        let product = mass * price;
+        sum.add(product);
+        rest += f64::mul_add(mass, *price, -product) + left * scale * price;
+    }
+    sum.add(rest);
+    // Once for all: rounded one by one, masses would leave little of a sum in which costs of both signs cancel.
+    sum.value() * (masses.unit / scale)
 }
 
-/// Certifies a plan and brings everything back to the caller's units.
+/// Certifies a plan and brings everything back to the caller's units; the last attempt may leave what rounding leaves.
 ///
 /// # Errors
 /// `NotOptimal` when the certificate fails, `BadInput` when the answer lies outside the range of numbers.
-pub fn conclude(
+pub fn conclude<M: Mass>(
     cost: &dyn Cost,
-    mut arcs: Vec<(usize, usize, i64)>,
-    mut potentials: Potentials,
-    a: Option<&[f64]>,
-    b: Option<&[f64]>,
-    masses: &Masses,
+    arcs: &mut [(usize, usize, M)],
+    potentials: &Potentials,
+    weights: Weights<'_>,
+    masses: &Masses<M>,
+    last: bool,
 ) -> Result<Solution, OtError> {
     arcs.sort_unstable();
-    let (mut scaled, mut total) = (Compensated::default(), Compensated::default());
-    let mut moved = false;
-    for &(i, j, flow) in &arcs {
-        let mass = flow as f64 * masses.unit;
-        let price = cost.at(i, j);
-        scaled.add(mass * price);
-        total.add(mass * cost.unscale(i, j, price));
-        moved |= price != 0.0;
-    }
-    let (n, m) = (cost.rows(), cost.cols());
-    let primal = scaled.value();
-    let (of_rows, of_cols) = (shares(a, n, masses.total_rows), shares(b, m, masses.total_cols));
-    let gap = certify(primal, &potentials, of_rows, of_cols, masses.unit)?;
-    let total = total.value() * masses.total_rows;
+    let prices: Vec<f64> = arcs.iter().map(|&(i, j, _)| cost.at(i, j)).collect();
+    let moved = prices.iter().any(|&price| price != 0.0);
+    let primal = total(arcs, &prices, masses);
+    let gap = certify(arcs, &prices, primal, potentials, weights, masses, last)?;
+    let paid: Vec<f64> = arcs.iter().zip(&prices).map(|(arc, &price)| cost.unscale(arc.0, arc.1, price)).collect();
+    let total = total(arcs, &paid, masses) * masses.total_rows;
     let smallest = primal != 0.0 && total.abs() < f64::MIN_POSITIVE;
-    if cost.exponent() != 0 {
-        let rescale = |v: &mut f64| *v = times_power_of_two(*v, cost.exponent());
-        potentials.alpha.iter_mut().chain(&mut potentials.beta).for_each(rescale);
-    }
-    let all_finite = potentials.alpha.iter().chain(&potentials.beta).all(|v| v.is_finite());
-    if !total.is_finite() || !all_finite || (moved && smallest) {
+    let rescaled =
+        |side: &[f64]| -> Vec<f64> { side.iter().map(|&v| times_power_of_two(v, cost.exponent())).collect() };
+    let (alpha, beta) = (rescaled(&potentials.alpha), rescaled(&potentials.beta));
+    let all_finite = alpha.iter().chain(&beta).all(|v| v.is_finite());
+    // Where squares vanish, costs that the plan is made of are not those that the caller pays.
+    let vanished = (times_power_of_two(primal, cost.exponent()) * masses.total_rows - total).abs() > GAP * total.abs();
+    if !total.is_finite() || !all_finite || (moved && (smallest || vanished)) {
         return Err(bad(format!(
             "the cost ({primal:e} times 2^{}) lies outside the range of numbers: rescale the points or costs",
             cost.exponent()
@@ -72,9 +77,9 @@ pub fn conclude(
         cost: total,
         rows: arcs.iter().map(|arc| arc.0 as i64).collect(),
         cols: arcs.iter().map(|arc| arc.1 as i64).collect(),
-        mass: arcs.iter().map(|arc| arc.2 as f64 * masses.unit * masses.total_rows).collect(),
-        alpha: potentials.alpha,
-        beta: potentials.beta,
+        mass: arcs.iter().map(|arc| arc.2.to_f64() * masses.unit * masses.total_rows).collect(),
+        alpha,
+        beta,
         gap: times_power_of_two(gap, cost.exponent()) * masses.total_rows,
     })
 }

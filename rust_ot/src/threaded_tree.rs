@@ -3,11 +3,13 @@
 //! The tree is the one of [`crate::tree`], with a preorder of its nodes besides: a pivot shifts the potentials of a whole
 //! subtree at once. Where pricing is quick, as over a table of moderate size, the best arc of the moment is worth that.
 
+use crate::mass::Mass;
+use crate::precise::{Pair, two_sum};
 use crate::tree::NONE;
 
 /// A spanning tree with flows, costs and potentials. Nodes: rows `0..n`, columns `n..n+m`, then the root.
 #[derive(Clone, Debug)]
-pub struct ThreadedTree {
+pub struct ThreadedTree<M = i64> {
     n: usize,
     m: usize,
     parent: Vec<u32>,
@@ -15,17 +17,17 @@ pub struct ThreadedTree {
     prev: Vec<u32>,
     last: Vec<u32>,
     size: Vec<u32>,
-    flow: Vec<i64>,
+    flow: Vec<M>,
     cost: Vec<f64>,
     /// `u` for rows and `-v` for columns: the reduced cost of an arc is `cost - pi[row] + pi[column]`.
     pub pi: Vec<f64>,
     stem: Vec<u32>,
 }
 
-impl ThreadedTree {
+impl<M: Mass> ThreadedTree<M> {
     /// The star of artificial arcs, each of cost `big`.
     #[must_use]
-    pub fn star(rows: &[i64], cols: &[i64], big: f64) -> Self {
+    pub fn star(rows: &[M], cols: &[M], big: f64) -> Self {
         let (n, m) = (rows.len(), cols.len());
         let nodes = n + m + 1;
         let root = n + m;
@@ -34,7 +36,7 @@ impl ThreadedTree {
         pi.push(0.0);
         let mut flow = rows.to_vec();
         flow.extend_from_slice(cols);
-        flow.push(0);
+        flow.push(M::ZERO);
         let mut parent = vec![root as u32; nodes];
         parent[root] = NONE;
         let mut size = vec![1; nodes];
@@ -84,11 +86,11 @@ impl ThreadedTree {
     }
 
     /// Walks both ends up to where they meet; finds the arc that empties first, the last such on the cycle.
-    fn ratio_test(&self, tail: u32, head: u32) -> (u32, u32, bool, i64) {
+    fn ratio_test(&self, tail: u32, head: u32) -> (u32, u32, bool, M) {
         let (mut a, mut b) = (tail, head);
-        let (mut amount, mut leaving, mut on_tail_side) = (i64::MAX, NONE, true);
+        let (mut amount, mut leaving, mut on_tail_side) = (M::MAX, NONE, true);
         let n = self.n as u32;
-        let mut head_amount = i64::MAX;
+        let mut head_amount = M::MAX;
         let mut head_leaving = NONE;
         while a != b {
             if self.size[a as usize] < self.size[b as usize] {
@@ -113,8 +115,8 @@ impl ThreadedTree {
         (a, leaving, on_tail_side, amount)
     }
 
-    fn push_flow(&mut self, tail: u32, head: u32, join: u32, amount: i64) {
-        if amount == 0 {
+    fn push_flow(&mut self, tail: u32, head: u32, join: u32, amount: M) {
+        if amount == M::ZERO {
             return;
         }
         let n = self.n as u32;
@@ -259,14 +261,44 @@ impl ThreadedTree {
         }
     }
 
+    /// Computes all the potentials again, counted from one node and in doubled precision: each is right to half a unit in
+    /// its last place, however long its way from that node is.
+    pub fn refresh_from(&mut self, node: usize) {
+        let root = self.n + self.m;
+        let mut rest = vec![f64::NAN; root + 1];
+        let mut below = node;
+        (self.pi[node], rest[node]) = (0.0, 0.0);
+        while below != root {
+            let up = self.parent[below] as usize;
+            let cost = if below < self.n { -self.cost[below] } else { self.cost[below] };
+            (self.pi[up], rest[up]) = longer((self.pi[below], rest[below]), cost);
+            below = up;
+        }
+        let mut node = self.next[root] as usize;
+        while node != root {
+            if rest[node].is_nan() {
+                let up = self.parent[node] as usize;
+                let cost = if node < self.n { self.cost[node] } else { -self.cost[node] };
+                (self.pi[node], rest[node]) = longer((self.pi[up], rest[up]), cost);
+            }
+            node = self.next[node] as usize;
+        }
+    }
+
     /// The arcs of the tree that carry mass: `(row, column, mass)`, in order of their lower node.
-    pub fn arcs(&self) -> impl Iterator<Item = (usize, usize, i64)> + '_ {
+    pub fn arcs(&self) -> impl Iterator<Item = (usize, usize, M)> + '_ {
         let root = (self.n + self.m) as u32;
-        (0..self.n + self.m).filter(move |&v| self.parent[v] != root && self.flow[v] > 0).map(|v| {
+        (0..self.n + self.m).filter(move |&v| self.parent[v] != root && self.flow[v] > M::ZERO).map(|v| {
             let up = self.parent[v] as usize;
             if v < self.n { (v, up - self.n, self.flow[v]) } else { (up, v - self.n, self.flow[v]) }
         })
     }
+}
+
+/// A potential in two parts, one arc further on.
+fn longer((value, rest): Pair, cost: f64) -> Pair {
+    let (sum, left) = two_sum(value, cost);
+    two_sum(sum, left + rest)
 }
 
 #[cfg(test)]

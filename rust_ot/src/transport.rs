@@ -1,16 +1,22 @@
 //! Chooses the method for a problem and runs it.
 
+use crate::careful;
 use crate::certificate::Potentials;
-use crate::coarse_to_fine;
+use crate::coarse_to_fine::{self, Optimum};
 use crate::cost::{Cost, Metric};
 use crate::error::OtError;
-use crate::masses::{Masses, integer_masses};
+use crate::mass::Mass;
+use crate::masses::{Masses, Weights, fine_masses, integer_masses};
 use crate::merge::{Groups, split};
 use crate::one_dim;
 use crate::points::Points;
+use crate::precise::{square, two_sum};
 use crate::scan::Workers;
 use crate::solution::{Solution, conclude};
 use crate::watch::Watch;
+
+/// Pairs up to which a plan that is not proven is looked for again with more care: a table of 32 MB.
+const CAREFUL_PAIRS: usize = 4_000_000;
 
 /// Exact transport between two weighted point sets, `x` of shape `(n, dim)` and `y` of shape `(m, dim)`.
 ///
@@ -21,7 +27,7 @@ pub fn between_points(
     y: &[f64],
     dim: usize,
     metric: Metric,
-    weights: (Option<&[f64]>, Option<&[f64]>),
+    weights: Weights<'_>,
     workers: &Workers,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Solution, OtError> {
@@ -29,15 +35,31 @@ pub fn between_points(
     if dim > 1 {
         return with_cost(&points, weights, workers, go_on);
     }
-    let (a, b) = weights;
-    let masses = integer_masses(a, b, points.rows(), points.cols())?;
+    let masses = integer_masses(weights.0, weights.1, points.rows(), points.cols())?;
+    match on_a_line(&points, metric, weights, &masses, false) {
+        Err(OtError::NotOptimal(_)) => on_a_line(&points, metric, weights, &fine_masses(weights, &masses), true),
+        answer => answer,
+    }
+}
+
+fn on_a_line<M: Mass>(
+    points: &Points,
+    metric: Metric,
+    weights: Weights<'_>,
+    masses: &Masses<M>,
+    last: bool,
+) -> Result<Solution, OtError> {
     let (x, y) = points.scaled();
-    let line = one_dim::solve(x, y, &masses, |x, y| match metric {
-        Metric::SqEuclidean => (x - y) * (x - y),
-        Metric::Euclidean | Metric::CityBlock => (x - y).abs(),
+    let mut line = one_dim::solve(x, y, masses, |x, y| {
+        let (near, rest) = two_sum(x, -y);
+        match metric {
+            Metric::SqEuclidean => square((near, rest)),
+            Metric::Euclidean | Metric::CityBlock if near < 0.0 => (-near, -rest),
+            Metric::Euclidean | Metric::CityBlock => (near, rest),
+        }
     });
     let potentials = Potentials { alpha: line.alpha, beta: line.beta };
-    conclude(&points, line.arcs, potentials, a, b, &masses)
+    conclude(points, &mut line.arcs, &potentials, weights, masses, last)
 }
 
 /// Exact transport for any cost.
@@ -46,18 +68,39 @@ pub fn between_points(
 /// As for [`between_points`].
 pub fn with_cost(
     cost: &dyn Cost,
-    weights: (Option<&[f64]>, Option<&[f64]>),
+    weights: Weights<'_>,
     workers: &Workers,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Solution, OtError> {
-    let (a, b) = weights;
-    let masses = integer_masses(a, b, cost.rows(), cost.cols())?;
+    let masses = integer_masses(weights.0, weights.1, cost.rows(), cost.cols())?;
     let pivots = 1_000_000 + 2_000 * (cost.rows() + cost.cols()) as u64;
-    let (arcs, potentials) = solve_distinct(cost, &masses, workers, &mut Watch::new(go_on, pivots))?;
-    conclude(cost, arcs, potentials, a, b, &masses)
+    let watch = &mut Watch::new(go_on, pivots);
+    let (mut arcs, potentials) = solve_distinct(cost, &masses, workers, watch)?;
+    match conclude(cost, &mut arcs, &potentials, weights, &masses, false) {
+        Err(OtError::NotOptimal(_)) => {}
+        answer => return answer,
+    }
+    if cost.rows() * cost.cols() <= CAREFUL_PAIRS {
+        match with_care(cost, weights, &fine_masses(weights, &masses), watch) {
+            Err(OtError::NotOptimal(_)) => {}
+            answer => return answer,
+        }
+    }
+    conclude(cost, &mut arcs, &potentials, weights, &masses, true)
 }
 
-type Arcs = Vec<(usize, usize, i64)>;
+fn with_care<M: Mass>(
+    cost: &dyn Cost,
+    weights: Weights<'_>,
+    masses: &Masses<M>,
+    watch: &mut Watch<'_>,
+) -> Result<Solution, OtError> {
+    let solve = |cost: &dyn Cost, rows: &[M], cols: &[M]| careful::solve(cost, rows, cols, watch);
+    let (mut arcs, potentials) = solve_heavy(cost, &masses.rows, &masses.cols, solve)?;
+    conclude(cost, &mut arcs, &potentials, weights, masses, true)
+}
+
+type Arcs<M> = Vec<(usize, usize, M)>;
 
 /// Pairs of distinct points, as a share of all, from which on it does not pay to merge equal points; less where all
 /// masses are equal, which only single points are.
@@ -70,40 +113,41 @@ fn solve_distinct(
     masses: &Masses,
     workers: &Workers,
     watch: &mut Watch<'_>,
-) -> Result<(Arcs, Potentials), OtError> {
+) -> Result<(Arcs<i64>, Potentials), OtError> {
+    let solve = |cost: &dyn Cost, rows: &[i64], cols: &[i64]| coarse_to_fine::solve(cost, rows, cols, workers, watch);
     let (n, m) = (cost.rows(), cost.cols());
     let (rows, cols) = (cost.groups(true), cost.groups(false));
     let len = |groups: &Option<Groups>, all: usize| groups.as_ref().map_or(all, |groups| groups.first.len());
     let share = (len(&rows, n) as f64 / n as f64) * (len(&cols, m) as f64 / m as f64);
     let worth = if n == m && masses.uniform { WORTH_MERGING_EQUAL } else { WORTH_MERGING };
     if share > worth {
-        return solve_core(cost, (&masses.rows, &masses.cols), workers, watch);
+        return solve_heavy(cost, &masses.rows, &masses.cols, solve);
     }
     let (rows, cols) = (rows.unwrap_or_else(|| Groups::single(n)), cols.unwrap_or_else(|| Groups::single(m)));
     let part = cost.subset(&rows.first, &cols.first);
     let merged = (rows.gather(&masses.rows), cols.gather(&masses.cols));
-    let (arcs, best) = solve_core(&*part, (&merged.0, &merged.1), workers, watch)?;
+    let (arcs, best) = solve_heavy(&*part, &merged.0, &merged.1, solve)?;
     let arcs = split(arcs, (&rows, &masses.rows), (&cols, &masses.cols));
     Ok((arcs, Potentials { alpha: rows.spread(&best.alpha), beta: cols.spread(&best.beta) }))
 }
 
 /// Solves for the atoms that have mass, and gives the others potentials that fit.
-fn solve_core(
+fn solve_heavy<M: Mass>(
     cost: &dyn Cost,
-    (row_masses, col_masses): (&[i64], &[i64]),
-    workers: &Workers,
-    watch: &mut Watch<'_>,
-) -> Result<(Arcs, Potentials), OtError> {
-    let heavy = |side: &[i64]| -> Vec<usize> { (0..side.len()).filter(|&i| side[i] > 0).collect() };
+    row_masses: &[M],
+    col_masses: &[M],
+    solve: impl FnOnce(&dyn Cost, &[M], &[M]) -> Result<Optimum<M>, OtError>,
+) -> Result<(Arcs<M>, Potentials), OtError> {
+    let heavy = |side: &[M]| -> Vec<usize> { (0..side.len()).filter(|&i| side[i] > M::ZERO).collect() };
     let (rows, cols) = (heavy(row_masses), heavy(col_masses));
     if rows.len() == cost.rows() && cols.len() == cost.cols() {
-        let best = coarse_to_fine::solve(cost, row_masses, col_masses, workers, watch)?;
+        let best = solve(cost, row_masses, col_masses)?;
         return Ok((best.arcs, Potentials { alpha: best.u, beta: best.v }));
     }
     let part = cost.subset(&rows, &cols);
-    let row_masses: Vec<i64> = rows.iter().map(|&i| row_masses[i]).collect();
-    let col_masses: Vec<i64> = cols.iter().map(|&j| col_masses[j]).collect();
-    let best = coarse_to_fine::solve(&*part, &row_masses, &col_masses, workers, watch)?;
+    let row_masses: Vec<M> = rows.iter().map(|&i| row_masses[i]).collect();
+    let col_masses: Vec<M> = cols.iter().map(|&j| col_masses[j]).collect();
+    let best = solve(&*part, &row_masses, &col_masses)?;
     let arcs = best.arcs.iter().map(|&(i, j, mass)| (rows[i], cols[j], mass)).collect();
     let mut beta = vec![f64::INFINITY; cost.cols()];
     let mut row_costs = vec![0.0; cost.cols()];

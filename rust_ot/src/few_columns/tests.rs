@@ -1,7 +1,7 @@
 //! The search between few columns against plain loops and the simplex over the whole table.
 
 use super::*;
-use crate::network_simplex::{self, Table};
+use crate::network_simplex::{self, Table, Tolerance};
 use crate::threaded_tree::ThreadedTree;
 
 fn numbers(salt: u32, len: usize) -> impl Iterator<Item = u32> {
@@ -55,7 +55,9 @@ fn plans_are_as_cheap_as_those_of_the_simplex() {
         assert!(found.arcs.len() < n + m, "{salt}: a cycle");
         let turned: Vec<f64> = (0..n * m).map(|k| costs[k % m * n + k / m]).collect();
         let star = ThreadedTree::star(&rows, &cols, 1.01);
-        let tree = network_simplex::solve(Table { costs: &turned, cols: m }, star, 1.0, &mut watch).unwrap();
+        let tolerance = Tolerance::new(1.0, n + m);
+        let tree =
+            network_simplex::solve(Table { costs: &turned, cols: m }, star, tolerance, None, &mut watch).unwrap();
         let least: f64 = tree.arcs().map(|(i, j, mass)| costs[j * n + i] * mass as f64 / total as f64).sum();
         assert!((cost - least).abs() < 1e-13, "{salt}: {cost} instead of {least}");
     }
