@@ -11,7 +11,7 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.gap import diagnose_gap
 from nfpde.gap.regimes import questions
 from nfpde.gap.report import GapMap
-from nfpde.gap.where import Forces, gap_map, places
+from nfpde.gap.where import gap_map, places
 
 HOPPER = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -104,7 +104,7 @@ def test_every_question_splits_the_same_whole(hopper):
     qpos[:, 0] = np.where(np.arange(201) % 23 < 9, -0.46, 0.0)
     windows = windows_of(hopper, qpos, 0.1 * rng.normal(size=(201, 3)))
     energy = rng.normal(size=(50, 3)) + np.array([0.1, 1.0, 3.0])
-    found = gap_map(hopper, windows, Forces(energy, energy, energy, energy))
+    found = gap_map(hopper, windows, energy)
     assert list(found.groups) == ["motion", "contact", "time"]
     for group in found.groups:
         assert found.part(group).sum() == pytest.approx(1.0)

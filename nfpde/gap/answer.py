@@ -15,7 +15,7 @@ from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
 from nfpde.gap.levels import Yardstick, shrink_interval
 from nfpde.gap.noise import learn_scatter
-from nfpde.gap.recordings import Recordings
+from nfpde.gap.recordings import Recordings, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
 from nfpde.gap.select import Accepted, Selection, key
 from nfpde.gap.separate import separating_experiment
@@ -75,8 +75,8 @@ class Outcome:
         """The ladder at one horizon (an index), or over all."""
         count = len(self.recordings.horizons)
         columns = slice(None) if horizon is None else [horizon, count + horizon]
-        stages = (self.nominal, self.base.held, self.final.held, self.yardstick.noise)
-        gaps = [float(self.yardstick.squares(r)[..., columns].mean()) for r in stages]
+        stages = [self.yardstick.squares(r) for r in (self.nominal, self.base.held, self.final.held)]
+        gaps = [float(squares[..., columns].mean()) for squares in (*stages, self.yardstick.floor)]
         unit = max(gaps[0], 1e-300)
         return Level(1.0, *(g / unit for g in gaps[1:]))
 
@@ -85,8 +85,8 @@ class Outcome:
 
         Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
         """
-        floor, left = (self.yardstick.gap(r) for r in (self.yardstick.noise, self.final.held))
-        return 1.0 - shrink_interval(floor, left, self.recordings.block, self.seed)[2]
+        floor = self.yardstick.floor.mean((1, 2))
+        return 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
 
     def distance(self) -> Distance:
         """How far apart recorded and simulated states lie at the windows' ends."""
@@ -95,7 +95,8 @@ class Outcome:
         at = [(base.replay, nominal), (base.replay, base.xi[None]), (final.replay, final.xi[None])]
         ends = [replay.predict(xi, held)[0, :, -1] for replay, xi in at]
         count = len(self.recordings.horizons)
-        noise = np.concatenate([self.yardstick.noise[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
+        draw = self.yardstick.noise[0] * self.selection.court.held.scale
+        noise = np.concatenate([draw[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
         return distance(base.replay.sim.states, held, ends, noise)
 
     def cause(self, effect: Effect, fit: Fit, before: Trial, after: Trial) -> Cause:
@@ -116,20 +117,20 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     selection, recordings, final, base = outcome.selection, outcome.recordings, outcome.final, outcome.base
     model = selection.model
     # what noise alone leaves, so that a gap that remains does not hide itself
-    quiet = learn_scatter(outcome.yardstick.noise, 0, QUIET * selection.court.floor)
-    noise = outcome.yardstick.noise
-    at_base = needed_forces(base.fit, recordings.held, recordings, quiet, outcome.typical, noise)
-    forces = [
-        needed_forces(final.fit, w, recordings, quiet, outcome.typical, noise)
-        for w in (recordings.fit, recordings.held)
-    ]
+    noise = outcome.yardstick.noise.reshape(-1, *final.held.shape[1:])
+    quiet = learn_scatter(noise, 0, QUIET * selection.court.floor)
+    court = selection.court
+    halves = (court.fitter, court.held)
+    # both halves: where the gap lies is no matter of proof, and an effect may show in few windows
+    at_base = [needed_forces(base.fit, half, quiet, outcome.typical, noise).energy for half in halves]
+    forces = [needed_forces(final.fit, half, quiet, outcome.typical, noise) for half in halves]
     left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
     gap = outcome.level(None)
     verdict = _verdict(gap, outcome.least_over_floor(), bool(outcome.accepted))
     force = describe(left, model, recordings.held) if verdict == "unexplained" else None
     effects = _causes(outcome)
     ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
-    found = gap_map(model, recordings.held, at_base)
+    found = gap_map(model, joined(recordings.fit, recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
     parameters = _fitted(final.fit, slice(0, len(names)), names)

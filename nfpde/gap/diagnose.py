@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,10 +15,11 @@ from nfpde.dataset import Dataset
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit
-from nfpde.gap.fit import Fitter
-from nfpde.gap.levels import Yardstick, noise_residuals
+from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.levels import Yardstick, calm
+from nfpde.gap.loud import DRAWS, loudness, noise_residuals
 from nfpde.gap.noise import floor_of, learn_scatter
-from nfpde.gap.recordings import Recordings, cut_recordings, windows_for
+from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
 from nfpde.gap.search import search_all
@@ -73,13 +75,19 @@ def diagnose_gap(
     recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead)
     check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
-    nominal, base, court = _base_fit(start, recordings, any(e.whole == "contact" for e, _ in candidates))
+    base, court = _base_fit(start, recordings, any(e.whole == "contact" for e, _ in candidates))
+    held = alike_halves(recordings, _gaps(base, court), seed)
+    if held is not None:
+        recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead, held)
+        base, court = _refit(base, court, recordings)
     report("noise of the sensors")
-    yardstick = _yardstick(base, base, recordings, seed)[0]
+    nominal, base, court, draws = _in_noise(base, court, recordings, seed)
+    yardstick = Yardstick.of(draws, base.held, court.capped)
     selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report, device)
     final, accepted = selection.run(base)
     report("where, and what is left")
-    yardstick, sigma = _yardstick(base, final, recordings, seed)
+    sigma, draws = _noise(final.fit, recordings, court.held, seed)
+    yardstick = Yardstick.of(draws / court.held.scale, base.held, court.capped)
     outcome = Outcome(
         dataset, recordings, nominal, base, final, tuple(accepted), selection, yardstick, sigma, scales.force, seed
     )
@@ -100,37 +108,79 @@ def _nominal(start: Replay) -> Array:
     return np.clip(np.where(np.isnan(own), middle, own), start.low, start.high)
 
 
-def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Array, Trial, Court]:
-    """Held-out residuals of the nominal model, the fit of the parameters alone, and the court that judges effects.
+def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Trial, Court]:
+    """The fit of the parameters alone, and the court that judges effects.
 
     Where contacts make the cost rugged, the parameters are searched by samples too.
     """
-    fitter = Fitter(recordings.fit, recordings.horizons)
+    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
-    steps = np.array(recordings.horizons) - 1
-    moved = start.sim.states.difference(recordings.fit.target[:, steps], recordings.fit.state[:, :1])
-    moved = start.by_dof(moved)
-    first = start.residuals(guesses[:1], recordings.fit, recordings.horizons)[0]
+    moved = _moved(start, recordings)
+    first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
-    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
+    court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], rugged)
     fit = court.settle(fit, rounds=1, iterations=5)
-    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0])
+    court = replace(court, floor=floor_of(fit.residuals, moved))
     fit = court.settle(fit, rounds=1, iterations=5)
     if rugged and start.nfree:
         some, part = court.screening(fit)
         found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)
         found = court.settle(found)
         fit = found if found.cost < fit.cost else fit
-    court = Court(recordings, fitter, floor_of(fit.residuals, moved), guesses[0], rugged)
-    nominal = start.residuals(guesses[:1], recordings.held, recordings.horizons)[0]
+    court = replace(court, floor=floor_of(fit.residuals, moved))
     fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
-    return nominal, court.judge(None, fit), court
+    return court.judge(None, fit), court
 
 
-def _yardstick(base: Trial, trial: Trial, recordings: Recordings, seed: int) -> tuple[Yardstick, Array]:
-    """What counts as one unit of gap, and the noise of the sensors, as a trial's model sees them."""
-    fit = trial.fit
+def _gaps(base: Trial, court: Court) -> Array:
+    """What a base leaves in every window, those to fit first (N,)."""
+    white = base.fit.scatter.whiten(np.concatenate([base.fit.residuals, base.held]))
+    return calm(white**2, court.capped).mean((1, 2))
+
+
+def _refit(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
+    """The base fitted to other halves of the recordings, from where it was."""
+    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
+    fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
+    court = replace(court, block=recordings.block, fitter=fitter, held=held)
+    fit = court.settle(fit)
+    court = replace(court, floor=floor_of(fit.residuals, _moved(fit.replay, recordings)))
+    fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
+    return court.judge(None, fit), court
+
+
+def _moved(replay: Replay, recordings: Recordings) -> Array:
+    """By how much the channels change over the horizons, as residuals (N, nv, C)."""
+    steps = np.array(recordings.horizons) - 1
+    windows = recordings.fit
+    return replay.by_dof(replay.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
+
+
+def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> tuple[Array, Trial, Court, Array]:
+    """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
+
+    Returns:
+        Held-out residuals of the nominal model (N, nv, C), the base, the court, and residuals that noise alone gives
+        in the held-out windows (draws, N, nv, C).
+    """
+    fit, held = (_noise(base.fit, recordings, half, seed)[1] for half in (court.fitter, court.held))
+    loud = loudness(np.concatenate([fit, held], axis=1), court.floor)
+    fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
+    other = replace(court.held, loudness=loud[fit.shape[1] :])
+    found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
+    floor = floor_of(found.residuals, _moved(found.replay, recordings))
+    quiet = None
+    if not court.rugged:
+        quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
+    court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
+    found = court.settle(fitter.rescale(found, court.scatter(found)))
+    found = fitter.linearise(found)
+    nominal = other.residuals_at(found.replay, court.nominal[None])[0]
+    return nominal, court.judge(None, found), court, held / other.scale
+
+
+def _noise(fit: Fit, recordings: Recordings, half: Fitter, seed: int) -> tuple[Array, Array]:
+    """Noise of the sensors (2 nv,) as a fit's model sees it, and residuals that it alone gives (draws, N, nv, C)."""
     sigma = sensor_noise(fit.replay, fit.xi, recordings.rows)
-    noise = noise_residuals(fit.replay, fit.xi, recordings.held, recordings, sigma, seed)
-    return Yardstick.of(noise, base.held), sigma
+    return sigma, noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS)

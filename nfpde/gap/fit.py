@@ -81,10 +81,21 @@ class Fitter:
 
     windows: what is fitted
     horizons: where it is compared
+    loudness: what residuals are divided by (N, nv, C), see `loudness`; None: all windows are alike
     """
 
     windows: Windows
     horizons: Sequence[int]
+    loudness: Array | None = None
+
+    def some(self, index: NDArray[np.intp]) -> Fitter:
+        """The same on some of the windows."""
+        return Fitter(self.windows[index], self.horizons, None if self.loudness is None else self.loudness[index])
+
+    @property
+    def scale(self) -> Array | float:
+        """What residuals are divided by."""
+        return 1.0 if self.loudness is None else self.loudness
 
     def start(self, replay: Replay, guesses: Array, scatter: Scatter) -> Fit:
         """The best of several guesses (G, D), inside the bounds."""
@@ -102,9 +113,9 @@ class Fitter:
         costs = [self._cost(row, r, scatter) for row, r in zip(u, self._residuals(replay, u), strict=True)]
         return guesses[np.argsort(costs, kind="stable")[:count]]
 
-    def residuals_at(self, replay: Replay, xi: Array) -> Array:
-        """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds."""
-        return self._residuals(replay, self._inside(replay, xi))
+    def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
+        """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""
+        return self._residuals(replay, self._inside(replay, xi), force)
 
     def rescale(self, fit: Fit, scatter: Scatter) -> Fit:
         """The same place, counted with another scatter."""
@@ -198,10 +209,9 @@ class Fitter:
     def _cost(self, u: Array, residuals: Array, scatter: Scatter) -> float:
         return float(-scatter.log_density(residuals).sum() + 0.5 * (((u - 0.5) / PRIOR) ** 2).sum())
 
-    def _residuals(self, replay: Replay, u: Array) -> Array:
-        return replay.residuals(
-            np.array([self._xi(replay, row) for row in u]).reshape(len(u), -1), self.windows, self.horizons
-        )
+    def _residuals(self, replay: Replay, u: Array, force: Array | None = None) -> Array:
+        xi = np.array([self._xi(replay, row) for row in u]).reshape(len(u), -1)
+        return replay.residuals(xi, self.windows, self.horizons, force) / self.scale
 
     def _inside(self, replay: Replay, xi: Array) -> Array:
         return np.clip((xi - replay.low) / (replay.high - replay.low), 0.0, 1.0)

@@ -3,35 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.dataset import Windows
 from nfpde.gap.noise import KAPPA
-from nfpde.gap.recordings import Recordings
-from nfpde.gap.replay import Replay, started_beside
 
 Array = NDArray[np.float64]
 
+CAPPED = 0.02
+"""Share of the largest squares of a channel that are capped where contacts are."""
+
 _DRAWS = 500
-
-
-def noise_residuals(
-    replay: Replay, xi: Array, windows: Windows, recordings: Recordings, sigma: Array, seed: int
-) -> Array:
-    """Residuals that sensor noise alone gives, a draw for every window (N, nv, C).
-
-    Noise at a window's start spreads as the simulation carries it on; noise at its end adds to that.
-    """
-    model, nv = replay.sim.model, replay.nv
-    rng = np.random.default_rng(seed)
-    moved = started_beside(model, windows, rng.normal(size=(len(windows), 2 * nv)) * sigma)
-    steps = np.array(recordings.horizons) - 1
-    a = replay.predict(xi[None], windows)[0][:, steps]
-    b = replay.predict(xi[None], moved)[0][:, steps]
-    apart = replay.sim.states.difference(b, a)
-    return replay.by_dof(apart + sigma * rng.normal(size=apart.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,35 +24,43 @@ class Yardstick:
 
     scale: what counts as one, by channel (nv, C): the noise that sensors put on a prediction, and `KAPPA` of what the
         base model leaves, below which differences are of no interest
-    noise: residuals that noise alone gives (N, nv, C)
+    noise: residuals that noise alone gives (draws, N, nv, C)
+    capped: share of the windows whose squares are capped, by channel. Where a contact opens or closes a residual
+        jumps, and a few of those would outweigh everything else; in smooth motion nothing is capped, as what acts in
+        few windows shows in nothing else
     """
 
     scale: Array
     noise: Array
+    capped: float = CAPPED
 
     @classmethod
-    def of(cls, noise: Array, base: Array) -> Yardstick:
-        """From residuals that noise alone gives (N, nv, C) and those of the base model."""
-        total = calm(noise**2).mean(0) + KAPPA**2 * calm(base**2).mean(0)
-        return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), noise)
+    def of(cls, noise: Array, base: Array, capped: float = CAPPED) -> Yardstick:
+        """From residuals that noise alone gives (draws, N, nv, C) and those of the base model (N, nv, C)."""
+        every = noise.reshape(-1, *noise.shape[2:])
+        total = calm(every**2, capped).mean(0) + KAPPA**2 * calm(base**2, capped).mean(0)
+        return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), noise, capped)
 
     def squares(self, residuals: Array) -> Array:
-        """Squared residuals in units of noise (N, nv, C), the largest fiftieth of every channel capped.
-
-        Where a contact opens or closes a residual jumps; a few of those would outweigh everything else.
-        """
-        return calm((residuals / self.scale) ** 2)
+        """Squared residuals in units of noise (N, nv, C)."""
+        return calm((residuals / self.scale) ** 2, self.capped)
 
     def gap(self, residuals: Array) -> Array:
         """Gap of every window (N,)."""
         return self.squares(residuals).mean((1, 2))
 
+    @cached_property
+    def floor(self) -> Array:
+        """Squares that noise alone leaves, on average over its draws (N, nv, C)."""
+        return np.mean([self.squares(draw) for draw in self.noise], axis=0)
 
-def calm(squares: Array) -> Array:
-    """Squares (N, nv, C) with the largest fiftieth of every channel, and what diverged, brought down to its bound."""
+
+def calm(squares: Array, capped: float = CAPPED) -> Array:
+    """Squares (N, nv, C) with a share of the largest in every channel, and what diverged, brought down to its bound."""
     filled = np.where(np.isfinite(squares), squares, np.inf)
-    bound = np.quantile(filled, 0.98, axis=0, method="lower")
-    bound = np.where(np.isfinite(bound), bound, np.nanmax(squares, initial=1.0))
+    bound = np.quantile(filled, 1.0 - capped, axis=0, method="lower")
+    sound = np.max(squares, axis=0, initial=0.0, where=np.isfinite(squares))
+    bound = np.where(np.isfinite(bound), bound, np.where(sound > 0, sound, 1.0))
     return np.minimum(filled, bound)
 
 

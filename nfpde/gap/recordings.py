@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset
+
+Array = NDArray[np.float64]
 
 WINDOW_TIME = 0.25
 """Longest window [s]: long enough for a weak force to move the robot, short enough for a prediction to hold."""
@@ -31,6 +33,9 @@ BLOCK = 5
 
 MOST_LEFT_OUT = 0.2
 """Share of the windows that may be left out at the beginnings of episodes."""
+
+LEAST_HALF = 0.3
+"""Share of the windows that either half has at least where halves are chosen to be alike."""
 
 FEWEST = 20
 """Windows below which nothing is said."""
@@ -54,12 +59,20 @@ class Recordings:
     rows: Windows
 
 
+def joined(first: Windows, second: Windows) -> Windows:
+    """The windows of both halves, one after the other."""
+    names = ("state", "ctrl", "history", "episode", "row")
+    return replace(first, **{n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names})
+
+
 def windows_for(nv: int) -> int:
     """Windows of each half for a model with nv degrees of freedom."""
     return int(np.clip(2000 // max(nv, 1), LEAST_USED, MOST_WINDOWS))
 
 
-def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0) -> Recordings:
+def cut_recordings(
+    dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0, held: NDArray[np.intp] | None = None
+) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
     Args:
@@ -67,6 +80,7 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead
         history: Commands needed from before a window's start.
         seed: Decides which episodes are held out.
         windows: Most windows of each half.
+        held: Episodes to hold out; None: as the seed decides.
         lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
             where enough others do.
 
@@ -79,7 +93,7 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead
     settled = np.flatnonzero(every.row >= lead)
     if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
         every = every[settled]
-    held_episodes = _held_out(lengths, steps, seed)
+    held_episodes = _held_out(lengths, steps, seed) if held is None else held
     if held_episodes is None:
         late = every.row + steps > (lengths[0] - 1) // 2
         early = ~late & (every.row + steps <= (lengths[0] - 1) // 2)
@@ -88,8 +102,8 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead
         late = np.isin(every.episode, held_episodes)
         early = ~late
         held_names = [dataset.names[i] for i in held_episodes]
-    fit, held = every[np.flatnonzero(early)], every[np.flatnonzero(late)]
-    for half, name in ((fit, "fit"), (held, "hold out")):
+    first, second = every[np.flatnonzero(early)], every[np.flatnonzero(late)]
+    for half, name in ((first, "fit"), (second, "hold out")):
         if len(half) < FEWEST:
             raise BadDataset(
                 f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
@@ -97,13 +111,13 @@ def cut_recordings(dataset: Dataset, history: int, seed: int, windows: int, lead
                 f"at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, best as "
                 f"four or more episodes"
             )
-    fit, held = _spread(fit, windows), _spread(held, windows)
+    first, second = _spread(first, windows), _spread(second, windows)
     singles = dataset.windows(1, history=history)
-    inside = np.isin(singles.episode, np.unique(held.episode))
+    inside = np.isin(singles.episode, np.unique(second.episode))
     if held_episodes is None:
         inside &= singles.row > (lengths[0] - 1) // 2
     rows = singles[np.flatnonzero(inside)[: 20 * windows]]
-    return Recordings(fit, held, _horizons(steps), _blocks(held), tuple(held_names), rows)
+    return Recordings(first, second, _horizons(steps), _blocks(second), tuple(held_names), rows)
 
 
 def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
@@ -123,6 +137,30 @@ def _held_out(lengths: NDArray[np.intp], steps: int, seed: int) -> NDArray[np.in
     total = np.cumsum(lengths[order] // steps)
     count = int(np.clip(np.searchsorted(total, total[-1] / 2) + 1, 1, len(order) - 1))
     return np.sort(order[:count])
+
+
+def alike_halves(recordings: Recordings, gap: Array, seed: int) -> NDArray[np.intp] | None:
+    """Episodes to hold out so that both halves show as much of the gap; None where there are too few to choose.
+
+    An effect may show in few episodes only, and must be seen in both halves: in the one that finds it, and in the
+    other that confirms it. Episodes are paired by their gap, and the seed decides which of a pair is held out. Where
+    episodes are so unlike in length that a half would be left with few windows, nothing is chosen.
+
+    Args:
+        recordings: Cut before.
+        gap: Of every window, those to fit first (N,).
+        seed: Of the draw.
+    """
+    episode = np.concatenate([recordings.fit.episode, recordings.held.episode])
+    names = np.unique(episode)
+    if len(names) < 4:
+        return None
+    mean = np.array([gap[episode == e].mean() for e in names])
+    order = names[np.argsort(-mean, kind="stable")]
+    rng = np.random.default_rng(seed)
+    held = np.sort([pair[rng.integers(2)] for pair in order[: len(order) // 2 * 2].reshape(-1, 2)])
+    share = np.isin(episode, held).mean()
+    return held if LEAST_HALF <= share <= 1 - LEAST_HALF else None
 
 
 def _horizons(steps: int) -> tuple[int, ...]:

@@ -16,11 +16,15 @@ from scipy.optimize import lsq_linear
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
+from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
 
 _SIZES = (0.4, 1.0, 2.0, 3.5)
+
+SHARE = 0.25
+"""Candidates that could explain less than this share of what the best could are not refitted."""
 
 _MOST_SCALE = 1.5
 """How far beyond a screened magnitude the linear scale may go."""
@@ -32,16 +36,41 @@ class Screened:
 
     effect: the candidate
     replay: base effects and the candidate
-    explained: reduction of half the weighted squares, in nats
-    guesses: values to start a fit from (G, P)
-    change: the projected, weighted change that explains most, of unit length (n,)
+    explained: reduction of half the weighted squares by each scatter [nats]
+    share: of what the best candidate could explain; by the scatter in which it is largest
+    starts: scatters in which it explains something, with values to start a fit from (G, P)
+    change: the projected, weighted change that explains most, of unit length (n,), by the first scatter
     """
 
     effect: Effect
     replay: Replay
-    explained: float
-    guesses: Array
+    explained: tuple[float, ...]
+    share: float
+    starts: tuple[tuple[Scatter, Array], ...]
     change: Array
+
+
+class _View:
+    """Residuals of a base fit as a scatter weighs them, without what the free parameters could do themselves."""
+
+    def __init__(self, base: Fit, scatter: Scatter) -> None:
+        self.scatter = scatter
+        self._white = scatter.whiten(base.residuals)
+        self._root = np.sqrt(scatter.weights(self._white))[..., None]
+        self._span = _span(base, scatter, self._root)
+        self._own = scatter.log_density(base.residuals).sum()
+        self.residual = self._free((self._white * self._root).ravel())
+
+    def _free(self, rows: Array) -> Array:
+        return rows - (rows @ self._span) @ self._span.T
+
+    def changes(self, there: Array) -> Array:
+        """What residuals (K, N, nv, C) of a candidate's values change, (K, n)."""
+        return self._free(((self.scatter.whiten(there) - self._white) * self._root).reshape(len(there), -1))
+
+    def gain(self, there: Array) -> float:
+        """What the best of the values gains as it is [nats]."""
+        return float((self.scatter.log_density(there).sum(-1) - self._own).max())
 
 
 def screen(
@@ -49,7 +78,7 @@ def screen(
     base: Fit,
     candidates: Sequence[tuple[Effect, Array]],
     replay_with: Callable[[Effect], Replay],
-    report: Callable[[int], None] = lambda done: None,
+    quiet: Scatter | None = None,
 ) -> list[Screened]:
     """Screen candidates at a linearised base fit, best first.
 
@@ -58,34 +87,35 @@ def screen(
         base: The base fit, with slopes.
         candidates: Each with the values to try, (K, P).
         replay_with: Makes the replay of the base and one more effect, its parameters last.
-        report: Called with the number of candidates done.
+        quiet: What residuals scatter by where nothing is missing. What acts in few windows has given the scatter of
+            the base heavy tails, and counts for next to nothing in it.
     """
-    white = base.scatter.whiten(base.residuals)
-    root = np.sqrt(base.scatter.weights(white))[..., None]
-    residual = (white * root).ravel()
-    span = _span(base, root)
-    residual = residual - span @ (span.T @ residual)
-    own = base.scatter.log_density(base.residuals).sum()
+    views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
     gap = spread(base.residuals, base.scatter.floor)
     found = []
-    for done, (effect, values) in enumerate(candidates):
+    for effect, values in candidates:
         replay = replay_with(effect)
         xi = np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
-        there = replay.residuals(xi, fitter.windows, fitter.horizons)
-        changes = (base.scatter.whiten(there) - white) * root
-        changes = changes.reshape(len(values), -1)
-        changes = changes - (changes @ span) @ span.T
-        gain = float((base.scatter.log_density(there).sum(-1) - own).max())
-        if effect.whole == "contact":
-            gain = max(gain, *(gap - spread(r, base.scatter.floor) for r in there))
-        found.append(_judge(effect, replay, values, residual, changes, gain))
-        report(done + 1)
-    return sorted(found, key=lambda s: -s.explained)
+        there = fitter.residuals_at(replay, xi)
+        searched = effect.whole == "contact"
+        least = max(gap - spread(r, base.scatter.floor) for r in there) if searched else -np.inf
+        judged = [_judge(effect, values, v.residual, v.changes(there), max(v.gain(there), least)) for v in views]
+        found.append((effect, replay, judged))
+    best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
+    out = []
+    for effect, replay, judged in found:
+        shares = [j.explained / most if most > 0 else 0.0 for j, most in zip(judged, best, strict=True)]
+        every = zip(views, judged, shares, strict=True)
+        starts = tuple((v.scatter, j.guesses) for v, j, share in every if share >= SHARE)
+        explained = tuple(j.explained for j in judged)
+        starts = starts or ((views[0].scatter, judged[0].guesses),)
+        out.append(Screened(effect, replay, explained, max(shares), starts, judged[0].change))
+    return sorted(out, key=lambda s: -s.share)
 
 
-def _span(base: Fit, root: Array) -> Array:
+def _span(base: Fit, scatter: Scatter, root: Array) -> Array:
     """Orthonormal columns of what the free parameters can do to the weighted residuals, (n, D)."""
-    slopes = [(base.scatter.whiten(s) * root).ravel() for s in base.slopes]
+    slopes = [(scatter.whiten(s) * root).ravel() for s in base.slopes]
     columns = np.array(slopes).reshape(len(slopes), base.residuals.size).T
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 1e-9 * norms.max(initial=1e-300)]
@@ -95,7 +125,14 @@ def _span(base: Fit, root: Array) -> Array:
     return left[:, size > 1e-7]
 
 
-def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, changes: Array, gain: float) -> Screened:
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    explained: float
+    guesses: Array
+    change: Array
+
+
+def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain: float) -> _Judged:
     """Best scaling of one change, and of all together; or what the best value gained as it is, if that is more.
 
     Contacts open and close: what an effect does there is no multiple of what it does at another size.
@@ -131,10 +168,5 @@ def _judge(effect: Effect, replay: Replay, values: Array, residual: Array, chang
     kept[:, shape] = values[best, shape]
     margin = 1e-3 * (high - low)
     length = float(np.linalg.norm(change))
-    return Screened(
-        effect,
-        replay,
-        max(explained, gain),
-        np.clip(kept, low + margin, high - margin),
-        change / length if length else change,
-    )
+    kept = np.clip(kept, low + margin, high - margin)
+    return _Judged(max(explained, gain), kept, change / length if length else change)

@@ -6,8 +6,6 @@ learned far away need not fall on the way there.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cma
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +84,15 @@ def search_near(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     return fitter.start(replay, near.best[None], fit.scatter)
 
 
+def search_beside(fitter: Fitter, replay: Replay, index: int, guess: Array, scatter: Scatter, seed: int = 0) -> Fit:
+    """A few samples about a guess (1, D), in which an effect moves most and the other parameters move along."""
+    widths = np.full(replay.nfree, _BESIDE)
+    widths[replay.columns(index)] = _ABOUT
+    found = Gathering(fitter, replay, Chart(replay), scatter.floor, guess[0], np.arange(replay.nfree))
+    found.rounds(ROUGH, widths, np.random.default_rng(seed))
+    return fitter.start(replay, found.best[None], scatter)
+
+
 def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
     """The best free parameters (B, D) of samples that evolve about a rough guess, in which an effect moves most.
 
@@ -141,9 +148,7 @@ def _search(
 
 
 def _few(fitter: Fitter) -> Fitter:
-    windows = fitter.windows
-    some = np.unique(np.linspace(0, len(windows) - 1, FEW).round().astype(int))
-    return replace(fitter, windows=windows[some])
+    return fitter.some(np.unique(np.linspace(0, len(fitter.windows) - 1, FEW).round().astype(int)))
 
 
 def _look(
@@ -172,6 +177,17 @@ def _look(
         if len(chosen) == KEPT:
             break
     return chart.outward(at[chosen]), apart
+
+
+def all_over(replay: Replay, index: int, xi: Array, count: int) -> Array:
+    """Guesses (count, D) with values of an effect all over its bounds beside other parameters (D - P,)."""
+    chart, columns = Chart(replay), np.arange(replay.nfree)[replay.columns(index)]
+    at = np.zeros((count, replay.nfree))
+    low, high = chart.low[columns], chart.high[columns]
+    at[:, columns] = low + (high - low) * _even(count, len(columns), np.random.default_rng(0))
+    found = chart.outward(at)
+    found[:, np.setdiff1d(np.arange(replay.nfree), columns)] = xi
+    return found
 
 
 def _even(count: int, size: int, rng: np.random.Generator) -> Array:

@@ -30,7 +30,7 @@ FLOOR_ERROR = 0.1
 """Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
 
 POLISHED = 4
-"""Turns of the last fit at most, where contacts make slopes mislead."""
+"""Turns of a fit to the end at most."""
 
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
@@ -77,7 +77,7 @@ class Selection:
     def run(self, base: Trial) -> tuple[Trial, list[Accepted]]:
         """Select; returns the final trial and the accepted effects in the order of their acceptance."""
         current, accepted = base, list[Accepted]()
-        first_gap = self._gap(base)
+        first_gap = self._whole_gap(base)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
             if len(accepted) == MOST_EFFECTS or (accepted and self._at_floor(current)):
                 break
@@ -89,6 +89,7 @@ class Selection:
             if found is None:
                 break
             current, new = found
+            current = self._converged(current)
             accepted.append(new)
             if len(accepted) > 1:
                 current, accepted = self._second_look(current, accepted, first_gap)
@@ -108,11 +109,25 @@ class Selection:
 
     def _at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much."""
-        floor = float(self.yardstick.squares(self.yardstick.noise).mean())
-        return self._gap(trial) < floor + FLOOR_ERROR
+        return self._gap(trial) < float(self.yardstick.floor.mean()) + FLOOR_ERROR
 
     def _gap(self, trial: Trial) -> float:
         return float(self.yardstick.gap(trial.held).mean())
+
+    def _whole_gap(self, trial: Trial) -> float:
+        """The gap over both halves: an effect may act so seldom that one half shows nothing of it."""
+        return float(np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)]).mean())
+
+    def _converged(self, trial: Trial) -> Trial:
+        """The trial fitted to the end, so that the next effect does not make up for what is left of the way."""
+        fit = trial.fit
+        for _ in range(POLISHED):
+            found = self.court.settle(fit, iterations=6)
+            gain, fit = fit.cost - found.cost, found
+            if gain < LEAST_GAIN:
+                break
+        self._count(fit.replay)
+        return self.court.judge(trial.effect, fit)
 
     def without(self, trial: Trial, index: int) -> Trial:
         """The trial without one of its effects, refitted."""
@@ -136,11 +151,11 @@ class Selection:
             return replays[-1]
 
         if len(open_ones) > MANY:
-            glanced = screen(*self.court.screening(base, GLANCED), open_ones, replay_with)[:MANY]
+            glanced = screen(*self.court.screening(base, GLANCED), open_ones, replay_with, self.court.quiet)[:MANY]
             kept = {key(s.effect) for s in glanced}
             kept |= {key(e) for e, _ in open_ones if e.whole == "contact"}  # screening sees but part of what they do
             open_ones = [(e, values) for e, values in open_ones if key(e) in kept]
-        screened = screen(*self.court.screening(base), open_ones, replay_with)
+        screened = screen(*self.court.screening(base), open_ones, replay_with, self.court.quiet)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = self.court.refit(base, screened)
         for replay in replays:
@@ -155,7 +170,7 @@ class Selection:
             if t.effect is not None:
                 replay = self._replay([*base.replay.effects, t.effect])
                 values = t.fit.xi[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
-                hopeful.append(Screened(t.effect, replay, 1.0, values[None], np.zeros(0)))
+                hopeful.append(Screened(t.effect, replay, (1.0,), 1.0, ((base.scatter, values[None]),), np.zeros(0)))
         found = self.court.refit(base, hopeful)
         for s in hopeful:
             self._count(s.replay)
@@ -163,11 +178,11 @@ class Selection:
 
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
-        gap = self._gap(current)
+        gap = self._whole_gap(current)
         worth = min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
         tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
-        trials = [t for t in trials if gap - self._gap(t) >= worth]
+        trials = [t for t in trials if gap - self._whole_gap(t) >= worth]
         # each is tested at its share of the level: any that passes has been asked for
         tests = [(trial, *self.court.gain(trial, current)) for trial in trials]
         gains = [(trial, gain) for trial, gain, _, p in tests if gain > 0 and p <= LEVEL / tried]
@@ -175,7 +190,7 @@ class Selection:
             return None
         best, gain = gains[0]
         sure = [trial for trial, _ in gains]
-        block = self.court.recordings.block
+        block = self.court.block
         near, equal = [], []
         for trial in trials:
             behind, error, apart = block_test(best.density - trial.density, block)
@@ -203,7 +218,7 @@ class Selection:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]
             replaced, new = found
             if key(new.effect) != key(accepted[index].effect):
-                better = block_test(replaced.density - current.density, self.court.recordings.block)
+                better = block_test(replaced.density - current.density, self.court.block)
                 if better[2] > APART:
                     continue
             # the replacement stands last among the effects now: keep both lists in one order

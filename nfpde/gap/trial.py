@@ -13,10 +13,10 @@ from scipy.stats import wilcoxon
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
+from nfpde.gap.levels import CAPPED
 from nfpde.gap.noise import Scatter, learn_scatter
-from nfpde.gap.recordings import Recordings
-from nfpde.gap.screen import Screened
-from nfpde.gap.search import search, search_about
+from nfpde.gap.screen import SHARE, Screened
+from nfpde.gap.search import all_over, search, search_about, search_beside
 
 Array = NDArray[np.float64]
 
@@ -26,9 +26,6 @@ Those that screening left out have not seen them, and cost nothing."""
 
 APART = 0.025
 """One-sided probability at which two effects count as told apart."""
-
-SHARE = 0.25
-"""Candidates that could explain less than this share of what the best could are not refitted."""
 
 LEAST_GAIN = 5.0
 """Log density [nats] that a candidate must gain on the windows it is fitted to for a closer look: with dozens of
@@ -45,6 +42,9 @@ SOUGHT = 30
 
 GUESSES = 3
 """Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
+
+LOOKS = 24
+"""Values of an effect's parameter, or of two together, that are looked at for a guess where motion is smooth."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
@@ -73,23 +73,41 @@ class Trial:
 class Court:
     """Refits on one half of the recordings and judges on the other.
 
+    block: of every held-out window, its group for standard errors (held,)
+    fitter, held: of the windows of either half
     floor: smallest residual believed (nv, C)
     nominal: base parameters of the nominal model
     rugged: whether contacts make the cost so rugged that slopes mislead
+    quiet: scatter of the residuals where nothing is missing; None where contacts are
     """
 
-    recordings: Recordings
+    block: NDArray[np.intp]
     fitter: Fitter
+    held: Fitter
     floor: Array
     nominal: Array
     rugged: bool = False
+    quiet: Scatter | None = None
 
     def screening(self, base: Fit, count: int = SCREENED) -> tuple[Fitter, Fit]:
-        """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them."""
-        windows = self.fitter.windows
-        some = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
+        """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them.
+
+        They are spread evenly over all, and in smooth motion half of them are those that the base explains worst: an
+        effect may act in few windows.
+        """
+        count = min(count, len(self.fitter.windows))
+        even = count if self.rugged else count - count // 2
+        some = np.unique(np.linspace(0, len(self.fitter.windows) - 1, even).round().astype(int))
+        if len(some) < count:
+            worst = np.argsort(-(base.scatter.whiten(base.residuals) ** 2).sum((1, 2)), kind="stable")
+            some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
         part = replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
-        return Fitter(windows[some], self.fitter.horizons), part
+        return self.fitter.some(some), part
+
+    @property
+    def capped(self) -> float:
+        """Share of the largest residuals that are capped where a gap is measured."""
+        return CAPPED if self.rugged else 0.0
 
     def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
         """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
@@ -104,7 +122,7 @@ class Court:
 
     def judge(self, effect: Effect | None, fit: Fit) -> Trial:
         """Residuals and log density on the held-out windows."""
-        held = fit.replay.residuals(fit.xi[None], self.recordings.held, self.recordings.horizons)[0]
+        held = self.held.residuals_at(fit.replay, fit.xi[None])[0]
         return Trial(effect, fit, fit.scatter.log_density(held), held)
 
     def refit(self, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
@@ -113,29 +131,17 @@ class Court:
             return []
         hopeful = _hopeful(screened)
         few, some, part = self.screening(base, GLANCED)[0], *self.screening(base)
-        # without the effect the parameters may have been bent far from the truth to stand in for it
-        straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
-        rough, gap = [], [spread(part.residuals, self.floor)]
+        rough, gap = list[tuple[float, Screened, Fit]](), [spread(part.residuals, self.floor)]
         for s in sorted(hopeful, key=lambda s: s.effect.whole == "contact"):
-            starts = [
-                np.hstack([np.broadcast_to(xi, (len(s.guesses), len(xi))), s.guesses]) for xi in (base.xi, straight)
-            ]
-            guesses = np.concatenate(starts)
-            if s.effect.whole == "contact":
-                enough = gap[0] - SHARE * (gap[0] - min(gap))
-                fit = search(some, s.replay, len(s.replay.effects) - 1, guesses, part.scatter, enough=enough)
-            else:
-                fit = some.start(s.replay, few.best(s.replay, guesses, part.scatter, GUESSES), part.scatter)
-                fit.slopes[: len(base.xi)] = part.slopes
-                fit = some.improve(fit, 2, kept=len(base.xi))
-            gap.append(spread(fit.residuals, self.floor))
-            fit = self.fitter.start(s.replay, fit.xi[None], base.scatter)
-            fit.slopes[: len(base.xi)] = base.slopes
-            fit = self.fitter.rescale(fit, self.scatter(fit))
-            if base.cost - fit.cost > LEAST_GAIN:
-                rough.append((s, fit))
-        rough.sort(key=lambda pair: pair[1].cost)
-        close = [(s, self._closer(base, s, fit, rough[0][1])) for s, fit in rough[:SECOND]]
+            enough = gap[0] - SHARE * (gap[0] - min(gap))
+            found = [self._rough(few, some, base, replace(part, scatter=by), s, at, enough) for by, at in s.starts]
+            gap += [spread(fit.residuals, self.floor) for fit in found]
+            full = [self._whole(base, s, fit) for fit in found]
+            gain, best = max(((self._promise(base, fit), i) for i, fit in enumerate(full)), default=(0.0, 0))
+            if gain > LEAST_GAIN:
+                rough.append((gain, s, full[best]))
+        rough.sort(key=lambda found: -found[0])
+        close = [(s, self._closer(base, s, fit, gain >= HOPEFUL * rough[0][0])) for gain, s, fit in rough[:SECOND]]
         most = max((base.cost - fit.cost for _, fit in close), default=0.0)
         trials = []
         for s, fit in close:
@@ -144,25 +150,63 @@ class Court:
             trials.append(self.judge(s.effect, self.fitter.rescale(fit, self.scatter(fit))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
 
-    def _closer(self, base: Fit, screened: Screened, fit: Fit, best: Fit) -> Fit:
+    def _rough(
+        self, few: Fitter, some: Fitter, base: Fit, part: Fit, screened: Screened, guesses: Array, enough: float
+    ) -> Fit:
+        """A candidate fitted to a part of the windows, from guesses of its values (G, P)."""
+        replay, index = screened.replay, len(screened.replay.effects) - 1
+        # without the effect the parameters may have been bent far from the truth to stand in for it
+        straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
+        starts = [np.hstack([np.broadcast_to(xi, (len(guesses), len(xi))), guesses]) for xi in (base.xi, straight)]
+        guesses = np.concatenate(starts)
+        if screened.effect.whole == "contact":
+            return search(some, replay, index, guesses, part.scatter, enough=enough)
+        if self.rugged:
+            return search_beside(some, replay, index, few.best(replay, guesses, part.scatter, 1), part.scatter)
+        if len(guesses[0]) - len(base.xi) <= 2:  # a threshold does nothing on one side, and all at once on the other
+            guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS)])
+        fit = some.start(replay, few.best(replay, guesses, part.scatter, GUESSES), part.scatter)
+        fit.slopes[: len(base.xi)] = part.slopes
+        return some.improve(fit, 2, kept=len(base.xi))
+
+    def _whole(self, base: Fit, screened: Screened, fit: Fit) -> Fit:
+        """The same on all windows."""
+        fit = self.fitter.start(screened.replay, fit.xi[None], base.scatter)
+        fit.slopes[: len(base.xi)] = base.slopes
+        return self.fitter.rescale(fit, self.scatter(fit))
+
+    def _promise(self, base: Fit, fit: Fit) -> float:
+        """What a rough fit gains [nats].
+
+        Where contacts are, a base at the bottom of one of many dents has a likelihood that hardly any other place
+        comes near: there it is what is left over that counts.
+        """
+        if not self.rugged:
+            return base.cost - fit.cost
+        return spread(base.residuals, self.floor) - spread(fit.residuals, self.floor)
+
+    def _closer(self, base: Fit, screened: Screened, fit: Fit, hopeful: bool) -> Fit:
         """A rough fit improved; where contacts are, by samples first, if it is hopeful and was not searched before."""
-        hopeful = base.cost - fit.cost >= HOPEFUL * (base.cost - best.cost)
         if self.rugged and screened.effect.whole != "contact" and hopeful:
             some = self.screening(base, SOUGHT)[0]
             places = np.vstack([fit.xi, search_about(some, fit, len(fit.replay.effects) - 1)])
             costs = [spread(r, self.floor) for r in self.fitter.residuals_at(fit.replay, places)]
             found = self.fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
             fit = self.fitter.rescale(replace(found, slopes=fit.slopes), self.scatter(found))
-        return self.fitter.improve(fit, 2, kept=len(base.xi))
+        fits = [self.fitter.improve(fit, 2, kept=len(base.xi))]
+        if self.quiet is not None:  # windows that a scatter with heavy tails gives up count in this one
+            loud = self.fitter.improve(self.fitter.rescale(fit, self.quiet), 4, kept=len(base.xi))
+            fits.append(self.fitter.rescale(loud, self.scatter(loud)))
+        return min(fits, key=lambda f: self.fitter.rescale(f, self.scatter(f)).cost)
 
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
-        return block_test(better.density - base.density, self.recordings.block)
+        return block_test(better.density - base.density, self.block)
 
 
 def _hopeful(screened: Sequence[Screened]) -> list[Screened]:
     """Those that could explain enough, and what contacts may do: at other sizes that is more than screening can see."""
-    enough = [s for s in screened[:FIRST] if s.explained > 0 and s.explained >= SHARE * screened[0].explained]
+    enough = [s for s in screened[:FIRST] if s.share >= SHARE]
     return enough + [s for s in screened if s.effect.whole == "contact" and s.change.any() and s not in enough]
 
 

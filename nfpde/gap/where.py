@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.gap.fit import Fit
+from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.levels import CAPPED
 from nfpde.gap.noise import Scatter
-from nfpde.gap.recordings import Recordings
 from nfpde.gap.regimes import Question, joint_columns, questions
 from nfpde.gap.report import GapMap, Place
 
@@ -33,17 +33,14 @@ class Forces:
     energy: Array
 
 
-def needed_forces(
-    fit: Fit, windows: Windows, recordings: Recordings, noise: Scatter, typical: Array, quiet: Array | None = None
-) -> Forces:
+def needed_forces(fit: Fit, seen: Fitter, noise: Scatter, typical: Array, quiet: Array | None = None) -> Forces:
     """The forces that a fitted replay lacks in every window.
 
     Every window counts in full: weights that distrust large residuals would hide a fault that shows in few windows.
 
     Args:
         fit: The fitted replay.
-        windows: Where.
-        recordings: Horizons to compare at.
+        seen: The windows.
         noise: Scatter of the residuals when nothing is missing.
         typical: Typical generalized forces (nv,): the size of the probing force.
         quiet: Residuals that noise alone gives (N, nv, C), where the scatter has a floor above them.
@@ -52,12 +49,12 @@ def needed_forces(
     probe = 0.05 * np.maximum(typical, 1e-3 * typical.max(initial=0.0) + 1e-9)
     forces = np.vstack([np.zeros(nv), np.diag(probe)])
     xi = np.broadcast_to(fit.xi, (nv + 1, len(fit.xi)))
-    there = fit.replay.residuals(xi, windows, recordings.horizons, forces)
+    there = seen.residuals_at(fit.replay, xi, forces)
     residual = there[0]
     response = (there[1:] - residual) / probe[:, None, None, None]
     response[~np.isfinite(response)] = 0.0
-    rows = noise.whiten(residual).reshape(len(windows), -1)
-    columns = np.stack([noise.whiten(r).reshape(len(windows), -1) for r in response], axis=2)
+    rows = noise.whiten(residual).reshape(len(residual), -1)
+    columns = np.stack([noise.whiten(r).reshape(len(residual), -1) for r in response], axis=2)
     information = np.einsum("nca,ncb->nab", columns, columns)
     own = np.einsum("naa->na", information)
     ridge = 1e-6 * own.max(1, initial=1e-300)
@@ -73,12 +70,19 @@ def _loudness(white: Array) -> Array:
     return np.minimum(squares, np.quantile(squares, 0.98, axis=0)).mean(0)
 
 
-def gap_map(model: mujoco.MjModel, windows: Windows, forces: Forces) -> GapMap:
-    """Shares of the gap by joint and regime; energies below zero (nothing but noise) count as none."""
+def gap_map(model: mujoco.MjModel, windows: Windows, energy: Array, capped: float = CAPPED) -> GapMap:
+    """Shares of the gap by joint and regime; energies below zero (nothing but noise) count as none.
+
+    Args:
+        model: The model.
+        windows: N windows.
+        energy: What the force of each degree of freedom explains in each of them (N, nv), see `Forces`.
+        capped: Share of the windows whose energies are capped.
+    """
     names, columns = joint_columns(model)
     asked = questions(model, windows)
-    energy = np.stack([forces.energy[:, dofs].sum(1) for dofs in columns], axis=1)
-    energy = np.minimum(energy, np.quantile(energy, 0.98, axis=0))
+    energy = np.stack([energy[:, dofs].sum(1) for dofs in columns], axis=1)
+    energy = np.minimum(energy, np.quantile(energy, 1.0 - capped, axis=0))
     parts = [_sums(energy, q) for q in asked]
     count = [np.stack([(q.of == r).sum(0) for r in range(len(q.answers))], axis=1) for q in asked]
     joint = parts[0].sum(1)

@@ -78,7 +78,10 @@ def _cause(c: Cause) -> str:
         f"{name} {v.value:.4g} {v.unit} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
     )
     place = f" at {c.target}" if c.target else ""
-    text = f"{c.effect}{place}: {values}; it accounts for {c.shrink:.1%} of the gap. {c.sentence}"
+    share = f"it accounts for {c.shrink:.1%} of the gap"
+    if c.shrink <= 0:
+        share = "it shows in few windows, none of them among those held out"
+    text = f"{c.effect}{place}: {values}; {share}. {c.sentence}"
     if c.indistinguishable:
         others = ", ".join(f"{r.effect}{' at ' + r.target if r.target else ''}" for r in c.indistinguishable)
         text += f" These recordings cannot tell it from {others}. {c.separating_experiment}"
