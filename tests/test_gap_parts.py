@@ -12,7 +12,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import effect
 from nfpde.errors import BadDataset
 from nfpde.gap.fit import PRIOR, Fit, Fitter
-from nfpde.gap.levels import Yardstick, calm, shrink_interval
+from nfpde.gap.levels import Yardstick, calm, rare, shrink_interval
 from nfpde.gap.loud import loudness, noise_residuals
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter
 from nfpde.gap.recordings import alike_halves, cut_recordings
@@ -216,19 +216,36 @@ def test_what_acts_in_few_windows_is_capped_only_beside_contacts():
     assert calm(lost**2, 0.0)[3] == pytest.approx(np.nanmax(lost**2, axis=0))  # bad, but not beyond bounds
 
 
+def test_rare_windows_are_noise_as_often_as_they_say():
+    """With the heaviest tails that have no mean, p <= 0.05 comes in five of a hundred at most; far windows are sure."""
+    rng = np.random.default_rng(13)
+    block = np.arange(100)
+    alarms = [rare(1 / rng.random(100), 1 / rng.random(100), block) <= 0.05 for _ in range(2000)]
+    assert np.mean(alarms) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 2000)
+    gap, noise = rng.random(100), rng.random(100)
+    gap[[5, 25, 45, 65]] = 20.0
+    assert rare(gap, noise, block // 5) < 1e-4
+    gap[[5, 25, 45, 65]] = 0.5
+    gap[5:9] = 20.0  # neighbours count once
+    assert rare(gap, noise, block // 5) > 0.005
+
+
 def test_windows_are_as_loud_as_their_noise():
     """Windows with ten times the noise come out ten times as loud, to what twelve draws can say; alike ones as one."""
     rng = np.random.default_rng(12)
     size = np.where(np.arange(400) % 4 == 0, 10.0, 1.0)[:, None, None]
     floor = np.full((2, 4), 1e-3)
-    loud = loudness(size * rng.normal(size=(12, 400, 2, 4)), floor)
+    draws = size * rng.normal(size=(12, 400, 2, 4))
+    loud = loudness(draws, size * rng.normal(size=(400, 2, 4)), floor)
     ratio = loud[::4].mean((0, 1, 2)) / loud[1::4].mean((0, 1, 2))
     assert ratio == pytest.approx(10.0, rel=0.15)  # drawn together by psi'(6) = 0.18 of a variance of logs of 4
-    alike = loudness(rng.normal(size=(12, 400, 2, 4)), floor)
+    alike = loudness(rng.normal(size=(12, 400, 2, 4)), rng.normal(size=(400, 2, 4)), floor)
     assert alike == pytest.approx(1.0, abs=0.15)  # the draws alone would scatter by 0.2
     assert (alike**2).mean(0) == pytest.approx(1.0, rel=0.02)
     # noise below what is believed of a residual makes no difference
-    assert loudness(1e-5 * size * rng.normal(size=(12, 400, 2, 4)), floor) == pytest.approx(1.0, abs=1e-3)
+    assert loudness(1e-5 * draws, size * rng.normal(size=(400, 2, 4)), floor) == pytest.approx(1.0, abs=1e-3)
+    # residuals that do not follow the noise are not the noise's
+    assert loudness(draws, rng.normal(size=(400, 2, 4)), floor) == pytest.approx(1.0, abs=0.2)  # slope 0 +- 0.03
 
 
 def test_halves_show_the_gap_alike():

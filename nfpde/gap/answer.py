@@ -13,9 +13,9 @@ from nfpde.effects import Effect
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
-from nfpde.gap.levels import Yardstick, shrink_interval
+from nfpde.gap.levels import Yardstick, rare, shrink_interval
 from nfpde.gap.noise import learn_scatter
-from nfpde.gap.recordings import Recordings, joined
+from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
 from nfpde.gap.select import Accepted, Selection, key
 from nfpde.gap.separate import separating_experiment
@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 NEAR_FLOOR = 1.5
 """A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
+
+ALARM = 0.005
+"""Probability at which a few windows beyond all noise count as a gap."""
 
 SPOTLESS = 1e-6
 """A gap below this share of the nominal model's is closed, whatever the noise."""
@@ -88,6 +91,14 @@ class Outcome:
         floor = self.yardstick.floor.mean((1, 2))
         return 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
 
+    def rare(self) -> float:
+        """Probability of the windows with the largest gap of both halves, were there nothing but noise."""
+        halves = [self.final.held, self.final.fit.residuals]
+        gap = np.concatenate([self.yardstick.gap(r) for r in halves])
+        block = np.concatenate([self.recordings.block, -1 - blocks_of(self.recordings.fit)])
+        noise = np.concatenate([self.yardstick.gap(draw) for draw in self.yardstick.noise])
+        return rare(gap, NEAR_FLOOR * noise, block)
+
     def distance(self) -> Distance:
         """How far apart recorded and simulated states lie at the windows' ends."""
         base, final, held = self.base.fit, self.final.fit, self.recordings.held
@@ -126,7 +137,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     forces = [needed_forces(final.fit, half, quiet, outcome.typical, noise) for half in halves]
     left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
     gap = outcome.level(None)
-    verdict = _verdict(gap, outcome.least_over_floor(), bool(outcome.accepted))
+    verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), bool(outcome.accepted))
     force = describe(left, model, recordings.held) if verdict == "unexplained" else None
     effects = _causes(outcome)
     ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
@@ -163,10 +174,10 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     )
 
 
-def _verdict(gap: Level, over_floor: float, named: bool) -> Verdict:
-    """What is left beside the noise floor decides, and beside what there was to explain."""
+def _verdict(gap: Level, over_floor: float, rare: float, named: bool) -> Verdict:
+    """What is left beside the noise floor decides, and beside what there was to explain; or a few windows do."""
     if over_floor <= NEAR_FLOOR or gap.after_effects < SPOTLESS:
-        return "effects" if named else "no_gap"
+        return "effects" if named else "no_gap" if rare > ALARM else "unexplained"
     if named and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor):
         return "effects"
     return "unexplained"

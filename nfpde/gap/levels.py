@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 CAPPED = 0.02
 """Share of the largest squares of a channel that are capped where contacts are."""
 
+_RARE = 10
+"""Windows looked at for a gap that shows in few of them."""
+
 _DRAWS = 500
 
 
@@ -62,6 +65,24 @@ def calm(squares: Array, capped: float = CAPPED) -> Array:
     sound = np.max(squares, axis=0, initial=0.0, where=np.isfinite(squares))
     bound = np.where(np.isfinite(bound), bound, np.where(sound > 0, sound, 1.0))
     return np.minimum(filled, bound)
+
+
+def rare(gap: Array, noise: Array, block: NDArray[np.intp]) -> float:
+    """Probability of as many windows as far beyond all noise, if there were nothing but noise.
+
+    Of n draws of noise and as many windows that are noise too, k windows lie beyond f times the largest draw with
+    probability (1 + f)^-k where tails fall off like 1 / x: the number beyond has a Poisson distribution, whose mean is
+    exponentially distributed. Tails of noise with a mean are lighter, and the probability is smaller.
+
+    Args:
+        gap: Of every window (N,).
+        noise: Gap that noise alone gives, N draws at least.
+        block: Groups of neighbouring windows (N,), of which the largest counts: neighbours resemble each other.
+    """
+    largest = np.sort([gap[block == g].max() for g in np.unique(block)])[::-1][:_RARE]
+    beyond = largest / max(float(noise.max(initial=0.0)), 1e-300)
+    count = np.arange(1, len(beyond) + 1)
+    return float(min(1.0, len(beyond) * np.min((1.0 + beyond) ** -count, initial=1.0)))
 
 
 def shrink_interval(before: Array, after: Array, block: NDArray[np.intp], seed: int) -> tuple[float, float, float]:

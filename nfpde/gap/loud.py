@@ -40,20 +40,43 @@ def noise_residuals(
     return np.array(found)
 
 
-def loudness(noise: Array, floor: Array) -> Array:
-    """How loud windows are, relative to each other (N, nv, C), from draws of their noise (draws, N, nv, C).
+def loudness(noise: Array, residuals: Array, floor: Array) -> Array:
+    """How loud windows are, relative to each other (N, nv, C): what their residuals are divided by.
 
-    The logarithms of the variances are drawn together by as much as so few draws scatter: what is left where all
-    windows are alike is one. Noise below the smallest residual believed, `floor` (nv, C), counts as that.
+    The logarithms of the variances of the noise are drawn together by as much as so few draws scatter, so that windows
+    that are alike have loudness one. Then they are drawn together by as much as the residuals do not follow them: where
+    a gap outweighs the noise, and where the noise of the sensors was overestimated, loud windows have residuals like
+    any other.
+
+    Args:
+        noise: Draws of the noise of every window (draws, N, nv, C).
+        residuals: Of the base model (N, nv, C).
+        floor: Smallest residual believed (nv, C); noise below it counts as that.
     """
-    squares = np.where(np.isfinite(noise), noise, np.nan) ** 2
-    with np.errstate(invalid="ignore"):
-        variance = np.nanmean(squares, axis=0) if len(squares) else np.zeros(noise.shape[1:])
-    variance = np.where(np.isfinite(variance), variance, np.nanmax(variance, initial=0.0)) + floor**2
+    variance = _variance(noise) + floor**2
     logs = np.log(np.maximum(variance, 1e-300))
-    middle = logs.mean(0)
+    logs -= logs.mean(0)
     scatter = np.maximum(logs.var(0), 1e-300)
     # a sum of as many squares of a Gaussian has a logarithm that varies by this
-    kept = np.clip(1.0 - float(polygamma(1, len(noise) / 2)) / scatter, 0.0, 1.0)
-    relative = np.exp(kept * (logs - middle))
+    logs *= np.clip(1.0 - float(polygamma(1, len(noise) / 2)) / scatter, 0.0, 1.0)
+    relative = np.exp(_followed(logs, residuals, floor)[:, None] * logs)
     return np.sqrt(relative / relative.mean(0))
+
+
+def _variance(noise: Array) -> Array:
+    """Mean squares over the draws that did not diverge; windows in which all did are as loud as the loudest."""
+    sound = np.isfinite(noise)
+    count = sound.sum(0)
+    variance = np.square(noise, out=np.zeros_like(noise), where=sound).sum(0) / np.maximum(count, 1)
+    return np.where(count > 0, variance, variance.max(0))
+
+
+def _followed(logs: Array, residuals: Array, floor: Array) -> Array:
+    """Slope of the logarithms of squared residuals over those of the noise, by degree of freedom (nv,), in [0, 1]."""
+    sound = np.isfinite(residuals)
+    squares = np.log(np.where(sound, residuals, 0.0) ** 2 + floor**2 + 1e-300)
+    weight = sound / np.maximum(sound.sum(0), 1)
+    apart = (squares - (weight * squares).sum(0)) * weight
+    centred = logs - (weight * logs).sum(0)
+    slope = (apart * centred).sum((0, 2)) / np.maximum((weight * centred**2).sum((0, 2)), 1e-300)
+    return np.clip(slope, 0.0, 1.0)

@@ -117,7 +117,7 @@ def cut_recordings(
     if held_episodes is None:
         inside &= singles.row > (lengths[0] - 1) // 2
     rows = singles[np.flatnonzero(inside)[: 20 * windows]]
-    return Recordings(first, second, _horizons(steps), _blocks(second), tuple(held_names), rows)
+    return Recordings(first, second, _horizons(steps), blocks_of(second), tuple(held_names), rows)
 
 
 def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
@@ -175,7 +175,7 @@ def _spread(windows: Windows, most: int) -> Windows:
     return windows[np.unique(np.linspace(0, len(windows) - 1, most).round().astype(int))]
 
 
-def _blocks(windows: Windows) -> NDArray[np.intp]:
+def blocks_of(windows: Windows) -> NDArray[np.intp]:
     """Groups of neighbouring windows of one episode."""
     block = np.empty(len(windows), dtype=np.intp)
     number = -1

@@ -38,9 +38,12 @@ NEAR = 3
 GENERATIONS, OFFSPRING, BEST = 16, 8, 4
 """Generations of samples about a rough guess, samples in each at least, and those of all that are given back."""
 
-_NEAR, _ABOUT, _BESIDE = 0.04, 0.5, 0.2
-"""Distance of the first samples, in the chart's units: about a fitted place, about a rough guess, and of parameters
-beside the effect that is searched."""
+_ABOUT, _BESIDE = 0.5, 0.2
+"""Distance of the first samples, in the chart's units: about a rough guess, and of parameters beside the effect that is
+searched."""
+
+_SHARE = 0.3
+"""Distance of the first samples at most, as a share of the bounds."""
 
 _FINER = 0.25
 """Width of the first fine round as a share of the distance of neighbouring looks."""
@@ -76,11 +79,11 @@ def search_all(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     return _search(fitter, fit.replay, np.arange(fit.replay.nfree), fit.xi[None], fit.scatter, rng, np.inf)
 
 
-def search_near(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
-    """The best of all free parameters of a fit together, close to where it is."""
+def search_near(fitter: Fitter, fit: Fit, seed: int = 0, width: float = 0.04) -> Fit:
+    """The best of all free parameters of a fit together, close to where it is: `width` in units of the chart."""
     replay, free = fit.replay, np.arange(fit.replay.nfree)
     near = Gathering(fitter, replay, Chart(replay), fit.scatter.floor, fit.xi, free)
-    near.rounds(NEAR, np.full(len(free), _NEAR), np.random.default_rng(seed))
+    near.rounds(NEAR, np.full(len(free), width), np.random.default_rng(seed))
     return fitter.start(replay, near.best[None], fit.scatter)
 
 
@@ -108,7 +111,9 @@ def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
     replay, chart = fit.replay, Chart(fit.replay)
     widths = np.full(replay.nfree, _BESIDE)
     widths[replay.columns(index)] = _ABOUT
+    widths = np.minimum(widths, _SHARE * (chart.high - chart.low))
     settings = {"CMA_stds": widths, "bounds": [chart.low, chart.high], "seed": seed + 1, "verbose": -9}
+    settings["maxstd_boundrange"] = np.inf  # the limit fails where there is one parameter, or all are as wide
     evolution = cma.CMAEvolutionStrategy(chart.inward(fit.xi), 1.0, settings)
     tried, costs = [fit.xi], [spread(fitter.residuals_at(replay, fit.xi[None])[0], fit.scatter.floor)]
     for _ in range(GENERATIONS):
