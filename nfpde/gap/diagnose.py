@@ -16,25 +16,24 @@ from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.gather import spread
 from nfpde.gap.levels import Yardstick, calm
 from nfpde.gap.loud import DRAWS, loudness, noise_residuals
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
-from nfpde.gap.search import search_all, search_near
+from nfpde.gap.search import search_all
 from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.trial import LEAST_GAIN, Court, Trial
+from nfpde.gap.trial import Court, Trial
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
 
 Array = NDArray[np.float64]
 
-GATHERINGS, _WIDTH = 5, 0.3
+GATHERINGS, WIDE = 5, 0.3
 """Turns of samples about the parameters where contacts make slopes mislead, and their first width in the chart's
-units."""
+units: what a base has left to gain every effect would seem to explain."""
 
 
 def diagnose_gap(
@@ -182,24 +181,10 @@ def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> t
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     found = court.settle(fitter.rescale(found, court.scatter(found)))
     if court.rugged and found.replay.nfree:
-        found = _gathered(court, found)
+        found = court.gathered(found, GATHERINGS, WIDE)
     found = fitter.linearise(found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
     return nominal, court.judge(None, found), court, held / other.scale
-
-
-def _gathered(court: Court, fit: Fit) -> Fit:
-    """The parameters moved about until nothing is gained.
-
-    Slopes mislead, and what a base has left to gain every effect would seem to explain.
-    """
-    for turn in range(GATHERINGS):
-        found = search_near(court.fitter, fit, turn, _WIDTH / (1 + turn))
-        gain, fit = spread(fit.residuals, court.floor) - spread(found.residuals, court.floor), found
-        if gain < LEAST_GAIN:
-            break
-    fit = court.fitter.rescale(fit, court.scatter(fit))
-    return court.settle(fit)
 
 
 def _noise(fit: Fit, recordings: Recordings, half: Fitter, seed: int) -> tuple[Array, Array]:

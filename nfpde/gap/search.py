@@ -87,16 +87,7 @@ def search_near(fitter: Fitter, fit: Fit, seed: int = 0, width: float = 0.04) ->
     return fitter.start(replay, near.best[None], fit.scatter)
 
 
-def search_beside(fitter: Fitter, replay: Replay, index: int, guess: Array, scatter: Scatter, seed: int = 0) -> Fit:
-    """A few samples about a guess (1, D), in which an effect moves most and the other parameters move along."""
-    widths = np.full(replay.nfree, _BESIDE)
-    widths[replay.columns(index)] = _ABOUT
-    found = Gathering(fitter, replay, Chart(replay), scatter.floor, guess[0], np.arange(replay.nfree))
-    found.rounds(ROUGH, widths, np.random.default_rng(seed))
-    return fitter.start(replay, found.best[None], scatter)
-
-
-def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
+def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0, generations: int = GENERATIONS) -> Array:
     """The best free parameters (B, D) of samples that evolve about a rough guess, in which an effect moves most.
 
     A linear model of the residuals leads nowhere from where they are but rugged; the covariance of the best samples
@@ -107,6 +98,7 @@ def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
         fit: The guess.
         index: Which of its effects.
         seed: Of the samples.
+        generations: How many of them.
     """
     replay, chart = fit.replay, Chart(fit.replay)
     widths = np.full(replay.nfree, _BESIDE)
@@ -116,7 +108,7 @@ def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0) -> Array:
     settings["maxstd_boundrange"] = np.inf  # the limit fails where there is one parameter, or all are as wide
     evolution = cma.CMAEvolutionStrategy(chart.inward(fit.xi), 1.0, settings)
     tried, costs = [fit.xi], [spread(fitter.residuals_at(replay, fit.xi[None])[0], fit.scatter.floor)]
-    for _ in range(GENERATIONS):
+    for _ in range(generations):
         at = evolution.ask(max(OFFSPRING, evolution.popsize))
         tried.extend(chart.outward(np.array(at)))
         new = [spread(r, fit.scatter.floor) for r in fitter.residuals_at(replay, np.array(tried[-len(at) :]))]

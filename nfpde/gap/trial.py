@@ -16,7 +16,7 @@ from nfpde.gap.gather import spread
 from nfpde.gap.levels import CAPPED
 from nfpde.gap.noise import Scatter, learn_scatter
 from nfpde.gap.screen import SHARE, Screened
-from nfpde.gap.search import all_over, search, search_about, search_beside
+from nfpde.gap.search import all_over, search, search_about, search_near
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,12 @@ SCREENED = 60
 
 GLANCED, MANY = 20, 24
 """Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
+
+QUICK = 12
+"""Generations of samples for a rough fit where contacts make slopes mislead."""
+
+TURNS, NARROW = 2, 0.1
+"""Turns of samples about a hopeful candidate, and their first width, see `Court.gathered`."""
 
 SOUGHT = 30
 """Windows on which hopeful candidates are sought where contacts make slopes mislead."""
@@ -116,6 +122,21 @@ class Court:
             fit = self.fitter.improve(fit, iterations, kept)
         return self.fitter.rescale(fit, self.scatter(fit))
 
+    def gathered(self, fit: Fit, turns: int, width: float) -> Fit:
+        """Samples that gather about a fit, ever closer, until nothing is gained: for where slopes mislead.
+
+        Args:
+            fit: The fit.
+            turns: How often at most.
+            width: Of the first samples, in the chart's units.
+        """
+        for turn in range(turns):
+            found = search_near(self.fitter, fit, turn, width / (1 + turn))
+            gain, fit = spread(fit.residuals, self.floor) - spread(found.residuals, self.floor), found
+            if gain < LEAST_GAIN:
+                break
+        return self.settle(self.fitter.rescale(fit, self.scatter(fit)))
+
     def scatter(self, fit: Fit) -> Scatter:
         """The scatter of what a fit leaves over."""
         return learn_scatter(fit.residuals, fit.replay.nfree, self.floor)
@@ -141,12 +162,12 @@ class Court:
             if gain > LEAST_GAIN:
                 rough.append((gain, s, full[best]))
         rough.sort(key=lambda found: -found[0])
-        close = [(s, self._closer(base, s, fit, gain >= HOPEFUL * rough[0][0])) for gain, s, fit in rough[:SECOND]]
+        close = [(s, self._closer(base, fit, gain >= HOPEFUL * rough[0][0])) for gain, s, fit in rough[:SECOND]]
         most = max((base.cost - fit.cost for _, fit in close), default=0.0)
         trials = []
         for s, fit in close:
             if base.cost - fit.cost >= HOPEFUL * most:
-                fit = self.settle(fit, kept=len(base.xi))
+                fit = self.gathered(fit, TURNS, NARROW) if self.rugged else self.settle(fit, kept=len(base.xi))
             trials.append(self.judge(s.effect, self.fitter.rescale(fit, self.scatter(fit))))
         return sorted(trials, key=lambda trial: -trial.density.mean())
 
@@ -159,15 +180,24 @@ class Court:
         straight = np.concatenate([self.nominal, base.xi[len(self.nominal) :]])
         starts = [np.hstack([np.broadcast_to(xi, (len(guesses), len(xi))), guesses]) for xi in (base.xi, straight)]
         guesses = np.concatenate(starts)
-        if screened.effect.whole == "contact":
-            return search(some, replay, index, guesses, part.scatter, enough=enough)
         if self.rugged:
-            return search_beside(some, replay, index, few.best(replay, guesses, part.scatter, 1), part.scatter)
+            if screened.effect.whole == "contact":
+                fit = search(some, replay, index, guesses, part.scatter, enough=enough)
+            else:
+                fit = some.start(replay, few.best(replay, guesses, part.scatter, 1), part.scatter)
+            # parameters may have to go a long way with the effect
+            return self._sampled(some, fit, search_about(few, fit, index, generations=QUICK))
         if len(guesses[0]) - len(base.xi) <= 2:  # a threshold does nothing on one side, and all at once on the other
             guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS)])
         fit = some.start(replay, few.best(replay, guesses, part.scatter, GUESSES), part.scatter)
         fit.slopes[: len(base.xi)] = part.slopes
         return some.improve(fit, 2, kept=len(base.xi))
+
+    def _sampled(self, fitter: Fitter, fit: Fit, places: Array) -> Fit:
+        """The best of a fit's place and others (B, D)."""
+        places = np.vstack([fit.xi, places])
+        costs = [spread(r, self.floor) for r in fitter.residuals_at(fit.replay, places)]
+        return fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
 
     def _whole(self, base: Fit, screened: Screened, fit: Fit) -> Fit:
         """The same on all windows."""
@@ -185,13 +215,11 @@ class Court:
             return base.cost - fit.cost
         return spread(base.residuals, self.floor) - spread(fit.residuals, self.floor)
 
-    def _closer(self, base: Fit, screened: Screened, fit: Fit, hopeful: bool) -> Fit:
-        """A rough fit improved; where contacts are, by samples first, if it is hopeful and was not searched before."""
-        if self.rugged and screened.effect.whole != "contact" and hopeful:
+    def _closer(self, base: Fit, fit: Fit, hopeful: bool) -> Fit:
+        """A rough fit improved; where contacts are, by more samples first, if it is hopeful."""
+        if self.rugged and hopeful:
             some = self.screening(base, SOUGHT)[0]
-            places = np.vstack([fit.xi, search_about(some, fit, len(fit.replay.effects) - 1)])
-            costs = [spread(r, self.floor) for r in self.fitter.residuals_at(fit.replay, places)]
-            found = self.fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
+            found = self._sampled(self.fitter, fit, search_about(some, fit, len(fit.replay.effects) - 1))
             fit = self.fitter.rescale(replace(found, slopes=fit.slopes), self.scatter(found))
         fits = [self.fitter.improve(fit, 2, kept=len(base.xi))]
         if self.quiet is not None:  # windows that a scatter with heavy tails gives up count in this one
