@@ -74,6 +74,22 @@ def test_the_same_seed_gives_the_same_answer(friction):
     assert again == once
 
 
+def saturate(model):
+    model.actuator_forcelimited[1], model.actuator_forcerange[1] = 1, (-2.3, 2.3)
+
+
+def test_what_acts_in_few_windows_is_named():
+    """A torque limit that a twentieth of the commands exceed hides in the tails of the noise, and is found."""
+    data = record(saturate, noise=1e-3)
+    beyond = np.concatenate([np.abs(e.ctrl[:, 1]) > 2.3 for e in data])
+    assert 0.02 < beyond.mean() < 0.08
+    found = diagnose_gap(nominal(), data)
+    assert found.verdict == "effects"
+    assert (found.effects[0].effect, found.effects[0].target) == ("torque_limit", "bend")
+    assert found.effects[0].parameters["limit"].value == pytest.approx(2.3, rel=0.01)
+    assert found.where[0].joint == "elbow"
+
+
 def test_no_effect_where_there_is_none():
     """A lighter forearm is a parameter, not an effect: no alarm."""
     found = diagnose_gap(nominal(), record(lambda model: weigh(model, 0.85), noise=2e-3, seed=1), MASS)

@@ -22,11 +22,11 @@ class ViscousDamping(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """Down to no damping at all, up to three times the typical force at the typical speed."""
+        """Down to no damping at all, up to six times the typical force at the typical speed."""
         if not is_axis(model, element):
             return None
         dof = model.jnt_dofadr[element]
-        return {"damping": (-float(model.dof_damping[dof]), 3 * float(scales.force[dof] / scales.speed[dof]))}
+        return {"damping": (-float(model.dof_damping[dof]), 6 * float(scales.force[dof] / scales.speed[dof]))}
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Add to the damping of the joint's degrees of freedom."""
