@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nfpde.effects import Effect
 from nfpde.gap.levels import Yardstick
+from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
 from nfpde.gap.search import search_near
@@ -157,7 +158,7 @@ class Selection:
             open_ones = [(e, values) for e, values in open_ones if key(e) in kept]
         screened = screen(*self.court.screening(base), open_ones, replay_with, self.court.quiet)
         self.report(f"refitting with effect {len(taken) + 1}")
-        trials = self.court.refit(base, screened)
+        trials = refit(self.court, base, screened)
         for replay in replays:
             self._count(replay)
         return trials
@@ -171,7 +172,7 @@ class Selection:
                 replay = self._replay([*base.replay.effects, t.effect])
                 values = t.fit.xi[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
                 hopeful.append(Screened(t.effect, replay, (1.0,), 1.0, ((base.scatter, values[None]),), np.zeros(0)))
-        found = self.court.refit(base, hopeful)
+        found = refit(self.court, base, hopeful)
         for s in hopeful:
             self._count(s.replay)
         return found
