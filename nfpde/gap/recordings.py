@@ -159,8 +159,9 @@ def alike_halves(recordings: Recordings, gap: Array, seed: int) -> NDArray[np.in
     order = names[np.argsort(-mean, kind="stable")]
     rng = np.random.default_rng(seed)
     held = np.sort([pair[rng.integers(2)] for pair in order[: len(order) // 2 * 2].reshape(-1, 2)])
-    share = np.isin(episode, held).mean()
-    return held if LEAST_HALF <= share <= 1 - LEAST_HALF else None
+    count = int(np.isin(episode, held).sum())
+    fewest = max(FEWEST, LEAST_HALF * len(episode))
+    return held if min(count, len(episode) - count) >= fewest else None
 
 
 def _horizons(steps: int) -> tuple[int, ...]:
