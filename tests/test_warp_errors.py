@@ -55,6 +55,17 @@ def test_features_that_warp_lacks(change, text):
         pendulum(model)
 
 
+def test_sizes_that_warp_lacks():
+    """A dense Jacobian of 61 degrees of freedom is one too many: its own words, what to do, and the cause attached."""
+    body = '<body name="{}"><joint type="slide"/><geom size=".1" contype="0" conaffinity="0"/></body>'
+    bodies = "".join(body.format(f"b{i}") for i in range(61))
+    space = ParameterSpace([Parameter("body_mass", "b0", 0.1, 1.0)])
+    model = load(f"<mujoco><option jacobian='dense'/><worldbody>{bodies}</worldbody></mujoco>")
+    with pytest.raises(BadModel, match=r"cannot run this model: Dense is unsupported.* device='cpu'") as refused:
+        WarpSimulator(model, space, device="warp-cpu", check_influence=False)
+    assert isinstance(refused.value.__cause__, ValueError)
+
+
 def test_a_field_that_all_worlds_share():
     """What no world can have of its own is refused before anything is simulated with wrong numbers."""
     xml = PENDULUM.replace("<geom name=", '<geom fluidshape="ellipsoid" name=')

@@ -76,22 +76,24 @@ def diagnose_gap(
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
     history, lead = _history(candidates, dataset.control_dt)
-    recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead)
+    windows = windows or windows_for(mjmodel.nv)
+    recordings = cut_recordings(dataset, history, seed, windows, lead)
     check_fit(start, recordings, _nominal(start))
     report("fitting the parameters")
     base, court = _base_fit(start, recordings, any(e.whole == "contact" for e, _ in candidates))
     held = alike_halves(recordings, _gaps(base, court), seed)
     if held is not None:
-        recordings = cut_recordings(dataset, history, seed, windows or windows_for(mjmodel.nv), lead, held)
-        base, court = _refit(base, court, recordings)
+        recordings = cut_recordings(dataset, history, seed, windows, lead, held)
+        base, court = _moved_over(base, court, recordings)
     report("noise of the sensors")
     nominal, base, court, draws = _in_noise(base, court, recordings, seed)
     yardstick = Yardstick.of(draws, base.held, court.capped)
     selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report, device)
     final, accepted = selection.run(base)
     report("where, and what is left")
-    sigma, draws = _noise(final.fit, recordings, court.held, seed)
-    yardstick = Yardstick.of(draws / court.held.scale, base.held, court.capped)
+    sigma = _sigma(final.fit, recordings)
+    draws = _noise(final.fit, sigma, court.held, seed) / court.held.scale
+    yardstick = Yardstick.of(draws, base.held, court.capped)
     outcome = Outcome(
         dataset, recordings, nominal, base, final, tuple(accepted), selection, yardstick, sigma, scales.force, seed
     )
@@ -132,8 +134,13 @@ def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Tria
         found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)
         found = court.settle(found)
         fit = found if found.cost < fit.cost else fit
+    return _judged(fit, court, moved)
+
+
+def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
+    """A fit of the parameters as the base, and the court with the floor that it leaves."""
     court = replace(court, floor=floor_of(fit.residuals, moved))
-    fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
+    fit = court.fitter.linearise(court.fitter.rescale(fit, court.scatter(fit)))
     return court.judge(None, fit), court
 
 
@@ -143,15 +150,12 @@ def _gaps(base: Trial, court: Court) -> Array:
     return calm(white**2, court.capped).mean((1, 2))
 
 
-def _refit(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
+def _moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
     """The base fitted to other halves of the recordings, from where it was."""
     fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
     fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     court = replace(court, block=recordings.block, fitter=fitter, held=held)
-    fit = court.settle(fit)
-    court = replace(court, floor=floor_of(fit.residuals, _moved(fit.replay, recordings)))
-    fit = fitter.linearise(fitter.rescale(fit, court.scatter(fit)))
-    return court.judge(None, fit), court
+    return _judged(court.settle(fit), court, _moved(fit.replay, recordings))
 
 
 def _moved(replay: Replay, recordings: Recordings) -> Array:
@@ -168,7 +172,8 @@ def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> t
         Held-out residuals of the nominal model (N, nv, C), the base, the court, and residuals that noise alone gives
         in the held-out windows (draws, N, nv, C).
     """
-    fit, held = (_noise(base.fit, recordings, half, seed)[1] for half in (court.fitter, court.held))
+    sigma = _sigma(base.fit, recordings)
+    fit, held = (_noise(base.fit, sigma, half, seed) for half in (court.fitter, court.held))
     left = np.concatenate([base.fit.residuals, base.held])
     loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
     fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
@@ -187,7 +192,11 @@ def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> t
     return nominal, court.judge(None, found), court, held / other.scale
 
 
-def _noise(fit: Fit, recordings: Recordings, half: Fitter, seed: int) -> tuple[Array, Array]:
-    """Noise of the sensors (2 nv,) as a fit's model sees it, and residuals that it alone gives (draws, N, nv, C)."""
-    sigma = sensor_noise(fit.replay, fit.xi, recordings.rows)
-    return sigma, noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS)
+def _sigma(fit: Fit, recordings: Recordings) -> Array:
+    """Noise of the sensors (2 nv,) as a fit's model sees it."""
+    return sensor_noise(fit.replay, fit.xi, recordings.rows)
+
+
+def _noise(fit: Fit, sigma: Array, half: Fitter, seed: int) -> Array:
+    """Residuals that noise of the sensors (2 nv,) alone gives (draws, N, nv, C)."""
+    return noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS)

@@ -80,9 +80,9 @@ def cut_recordings(
         history: Commands needed from before a window's start.
         seed: Decides which episodes are held out.
         windows: Most windows of each half.
-        held: Episodes to hold out; None: as the seed decides.
         lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
             where enough others do.
+        held: Episodes to hold out; None: as the seed decides.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
