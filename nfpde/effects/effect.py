@@ -222,6 +222,33 @@ class Effect:
         margin = 1e-6 * (high - low)
         return np.clip(np.array(rows), low + margin, high - margin)
 
+    def together(self, values: Array, shares: Array) -> Array:
+        """Values (P,) whose changes are about the sum of those of several values (K, P), each by its share (K,).
+
+        The base adds up distances from neutral; parameters that only shape the effect are those of the largest share.
+        """
+        neutral = np.array([q.neutral for q in self.quantities])
+        shape = [i for i, q in enumerate(self.quantities) if q.shape_only]
+        added = neutral + shares @ (values - neutral)
+        added[shape] = values[int(np.argmax(shares)), shape]
+        return added
+
+    def straightened(self, values: Array) -> Array:
+        """Coordinates (..., P) of values (..., P) in which what the effect does is closer to linear.
+
+        The base takes the values themselves.
+        """
+        return values
+
+    def bent(self, coordinates: Array) -> Array:
+        """Values (..., P), inside the bounds, of coordinates (..., P)."""
+        return coordinates
+
+    def straight_bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest coordinates (P,)."""
+        low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
+        return low, high
+
     def active(self, values: Array) -> NDArray[np.bool_]:
         """Which rows of values (R, P) differ from neutral, (R,); only there do `command` and `step` run."""
         decisive = [i for i, q in enumerate(self.quantities) if not q.shape_only]

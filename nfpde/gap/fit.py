@@ -71,8 +71,9 @@ class Fit:
         columns = np.einsum("dnvc,nv,nvc->nd", _whiten_slopes(self.scatter, self.slopes), weight, white)
         inverse = np.linalg.pinv(self.information, hermitian=True)
         sandwich = inverse @ (columns.T @ columns) @ inverse
-        variance = np.maximum(np.diag(sandwich), np.diag(inverse) * 1e-6)
-        return np.sqrt(variance) * (self.replay.high - self.replay.low)
+        turn = self.replay.outward_slopes(self.xi)
+        variances = [np.einsum("id,de,ie->i", turn, matrix, turn) for matrix in (sandwich, 1e-6 * inverse)]
+        return np.sqrt(np.maximum(*variances))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,27 +100,54 @@ class Fitter:
 
     def start(self, replay: Replay, guesses: Array, scatter: Scatter) -> Fit:
         """The best of several guesses (G, D), inside the bounds."""
-        u = self._inside(replay, guesses)
+        u = replay.inward(guesses)
         residuals = self._residuals(replay, u)
         costs = [self._cost(u[i], residuals[i], scatter) for i in range(len(u))]
         best = int(np.argmin(costs))
         d = replay.nfree
         empty = np.zeros((d, *residuals.shape[1:]))
-        return Fit(replay, self._xi(replay, u[best]), costs[best], scatter, residuals[best], empty, np.eye(d), d)
+        return Fit(replay, replay.outward(u[best]), costs[best], scatter, residuals[best], empty, np.eye(d), d)
 
-    def best(self, replay: Replay, guesses: Array, scatter: Scatter, count: int) -> Array:
-        """The best `count` of several guesses (G, D), best first."""
-        u = self._inside(replay, guesses)
-        costs = [self._cost(row, r, scatter) for row, r in zip(u, self._residuals(replay, u), strict=True)]
-        return guesses[np.argsort(costs, kind="stable")[:count]]
+    def best(self, replay: Replay, guesses: Array, scatter: Scatter, count: int, base: Fit | None = None) -> Array:
+        """The best of several guesses (G, D), best first.
+
+        Args:
+            replay: What is simulated.
+            guesses: Free parameters (G, D).
+            scatter: What counts.
+            count: How many to give back (`count`, D); with a base twice as many: the best as they are, too.
+            base: A linearised fit on these windows of a replay with the first parameters alone: they make up for the
+                rest of each guess first, as far as slopes foretell.
+        """
+        u = replay.inward(guesses)
+        residuals = self._residuals(replay, u)
+        costs = [self._cost(row, r, scatter) for row, r in zip(u, residuals, strict=True)]
+        found = guesses[np.argsort(costs, kind="stable")[:count]]
+        if base is None or not len(base.xi):
+            return found
+        costs = [self._react(row, r, base, scatter) for row, r in zip(u, residuals, strict=True)]
+        return np.concatenate([replay.outward(u[np.argsort(costs, kind="stable")[:count]]), found])
+
+    def _react(self, u: Array, residuals: Array, base: Fit, scatter: Scatter) -> float:
+        """Move a base's parameters in u (D,) to where slopes foretell the least cost, which is returned."""
+        k = len(base.xi)
+        sound = np.nan_to_num(residuals, nan=0.0, posinf=0.0, neginf=0.0)
+        white, slopes = scatter.whiten(sound), _whiten_slopes(scatter, base.slopes)
+        weighted = slopes * scatter.weights(white)[..., None]
+        matrix = np.einsum("dnvc,envc->de", weighted, slopes, optimize=True) + np.eye(k) / PRIOR**2
+        gradient = np.einsum("dnvc,nvc->d", weighted, white) + (u[:k] - 0.5) / PRIOR**2
+        moved = np.clip(u[:k] - np.linalg.solve(matrix, gradient), 0.0, 1.0)
+        change = np.tensordot(moved - u[:k], base.slopes, 1)
+        u[:k] = moved
+        return self._cost(u, residuals + change, scatter)
 
     def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""
-        return self._residuals(replay, self._inside(replay, xi), force)
+        return self._residuals(replay, replay.inward(xi), force)
 
     def rescale(self, fit: Fit, scatter: Scatter) -> Fit:
         """The same place, counted with another scatter."""
-        u = self._inside(fit.replay, fit.xi[None])[0]
+        u = fit.replay.inward(fit.xi[None])[0]
         return replace(fit, scatter=scatter, cost=self._cost(u, fit.residuals, scatter))
 
     def improve(self, fit: Fit, iterations: int, kept: int = 0) -> Fit:
@@ -135,7 +163,7 @@ class Fitter:
         while steps < iterations and d:
             fit = self.linearise(fit, renew)
             settled = fit.fresh == 0 or kept > 0
-            u = self._inside(fit.replay, fit.xi[None])[0]
+            u = fit.replay.inward(fit.xi[None])[0]
             gradient = self._gradient(fit, u)
             trials = [self._trial(fit, u, gradient, damping * factor) for factor in _DAMPINGS]
             promise = float(np.max([-gradient @ (t - u) for t in trials]))
@@ -144,7 +172,6 @@ class Fitter:
                     break
                 renew = 0
                 continue
-            steps += 1
             residuals = self._residuals(fit.replay, np.array(trials))
             costs = [self._cost(t, r, fit.scatter) for t, r in zip(trials, residuals, strict=True)]
             best = int(np.argmin(costs))
@@ -157,9 +184,10 @@ class Fitter:
                 if damping > 1e6:
                     break
                 continue
+            steps += 1
             foretold = float(-gradient @ move - 0.5 * move @ fit.information @ move)
             slopes = _carried(fit, move, residuals[best] - fit.residuals)
-            xi = self._xi(fit.replay, trials[best])
+            xi = fit.replay.outward(trials[best])
             fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
             damping = max(damping * _DAMPINGS[best] * 0.3, 1e-9)
             renew = d if gain >= _KEPT_WORD * foretold else kept
@@ -173,7 +201,7 @@ class Fitter:
         anew = slice(kept, max(fit.fresh, kept))
         slopes, fresh = fit.slopes, min(fit.fresh, kept)
         if anew.stop > kept:
-            u = self._inside(fit.replay, fit.xi[None])[0]
+            u = fit.replay.inward(fit.xi[None])[0]
             sign = np.where(u > 0.5, -1.0, 1.0)[anew]
             step = sign * np.clip(RESOLVED / np.sqrt(np.diag(fit.information)[anew]), STEP, WIDEST)
             moved = self._residuals(fit.replay, u + step[:, None] * np.eye(d)[anew])
@@ -210,14 +238,8 @@ class Fitter:
         return float(-scatter.log_density(residuals).sum() + 0.5 * (((u - 0.5) / PRIOR) ** 2).sum())
 
     def _residuals(self, replay: Replay, u: Array, force: Array | None = None) -> Array:
-        xi = np.array([self._xi(replay, row) for row in u]).reshape(len(u), -1)
+        xi = np.array([replay.outward(row) for row in u]).reshape(len(u), -1)
         return replay.residuals(xi, self.windows, self.horizons, force) / self.scale
-
-    def _inside(self, replay: Replay, xi: Array) -> Array:
-        return np.clip((xi - replay.low) / (replay.high - replay.low), 0.0, 1.0)
-
-    def _xi(self, replay: Replay, u: Array) -> Array:
-        return np.clip(replay.low + u * (replay.high - replay.low), replay.low, replay.high)
 
 
 def _whiten_slopes(scatter: Scatter, slopes: Array) -> Array:

@@ -29,8 +29,8 @@ SOUGHT = 30
 GUESSES = 3
 """Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
 
-LOOKS = 24
-"""Values of an effect's parameter, or of two together, that are looked at for a guess where motion is smooth."""
+LOOKS = 16
+"""Values looked at for a guess where motion is smooth, for each parameter of an effect."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
@@ -59,7 +59,7 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
     trials = []
     for s, fit in close:
         if base.cost - fit.cost >= HOPEFUL * most:
-            fit = court.gathered(fit, TURNS, NARROW) if court.rugged else court.settle(fit, kept=len(base.xi))
+            fit = court.gathered(fit, TURNS, NARROW) if court.rugged else court.converged(fit, kept=len(base.xi))
         trials.append(court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))))
     return sorted(trials, key=lambda trial: -trial.density.mean())
 
@@ -80,7 +80,7 @@ class Refitting:
 
     def __init__(self, court: Court, base: Fit) -> None:
         self._court, self._base = court, base
-        self._few = court.screening(base, GLANCED)[0]
+        self._few, self._few_part = court.screening(base, GLANCED)
         self._some, self._part = court.screening(base)
         self._gap = self._least = spread(self._part.residuals, court.floor)
 
@@ -128,9 +128,11 @@ class Refitting:
                 fit = self._some.start(replay, self._few.best(replay, guesses, by, 1), by)
             # parameters may have to go a long way with the effect
             return self._sampled(self._some, fit, search_about(self._few, fit, index, generations=QUICK))
-        if values.shape[1] <= 2:  # a threshold does nothing on one side, and all at once on the other
-            guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS)])
-        fit = self._some.start(replay, self._few.best(replay, guesses, by, GUESSES), by)
+        # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
+        guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS * values.shape[1])])
+        # an effect whose part the parameters have played can be worse than none until they give it back
+        guesses = self._few.best(replay, guesses, by, GUESSES, self._few_part)
+        fit = self._some.start(replay, guesses, by)
         fit.slopes[: len(base.xi)] = self._part.slopes
         return self._some.improve(fit, 2, kept=len(base.xi))
 

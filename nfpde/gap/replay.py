@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.effects import Effect, Quantity, World
+from nfpde.effects.effect import overrides
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, MujocoSimulator, make_simulator
 
@@ -41,6 +43,10 @@ def residual_force(model: mujoco.MjModel) -> Effect:
     return type("ResidualForceEffect", (Effect,), members)()
 
 
+_NUDGE = 1e-6
+"""Share of the bounds over which coordinates are differenced."""
+
+
 class Replay:
     """A model with free base parameters and effects, ready to replay windows.
 
@@ -49,6 +55,8 @@ class Replay:
         nbase: number of base parameters.
         effects: the effects.
     """
+
+    effects: tuple[Effect, ...] = ()
 
     def __init__(
         self,
@@ -76,6 +84,37 @@ class Replay:
         """Where the parameters of an effect stand."""
         first = self.nbase + sum(len(e.parameters) for e in self.effects[:effect])
         return slice(first, first + len(self.effects[effect].parameters))
+
+    def inward(self, xi: Array) -> Array:
+        """Shares of the bounds (..., D), 0 to 1, of free parameters (..., D), in effects' straightened coordinates."""
+        low, high = self._straight_bounds
+        return np.clip((self._turned(xi, "straightened") - low) / (high - low), 0.0, 1.0)
+
+    def outward(self, u: Array) -> Array:
+        """Free parameters (..., D), inside their bounds, of shares (..., D)."""
+        low, high = self._straight_bounds
+        return np.clip(self._turned(low + u * (high - low), "bent"), self.low, self.high)
+
+    def outward_slopes(self, xi: Array) -> Array:
+        """How free parameters change with the shares, at free parameters (D,): (D, D)."""
+        u, step = self.inward(xi), _NUDGE * np.eye(len(xi))
+        above, below = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
+        return ((self.outward(above) - self.outward(below)) / np.diag(above - below)[:, None]).T
+
+    def _turned(self, at: Array, method: str) -> Array:
+        for index, effect in enumerate(self.effects):
+            if overrides(effect, method):
+                columns = self.columns(index)
+                at = at.copy()
+                at[..., columns] = getattr(effect, method)(at[..., columns])
+        return at
+
+    @cached_property
+    def _straight_bounds(self) -> tuple[Array, Array]:
+        low, high = self.low.copy(), self.high.copy()
+        for index, effect in enumerate(self.effects):
+            low[self.columns(index)], high[self.columns(index)] = effect.straight_bounds()
+        return low, high
 
     def predict(self, xi: Array, windows: Windows, force: Array | None = None) -> Array:
         """Predicted measurements (M, N, H, nx) of free parameters (M, D), with a generalized force (M, nv) or none."""

@@ -15,7 +15,7 @@ from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
 from nfpde.gap.search import search_near
-from nfpde.gap.trial import APART, GLANCED, LEAST_GAIN, LEVEL, MANY, Court, Trial, block_test
+from nfpde.gap.trial import APART, GLANCED, LEAST_GAIN, LEVEL, MANY, POLISHED, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -29,9 +29,6 @@ WORTH = 0.02
 
 FLOOR_ERROR = 0.1
 """Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
-
-POLISHED = 4
-"""Turns of a fit to the end at most."""
 
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
@@ -121,12 +118,7 @@ class Selection:
 
     def _converged(self, trial: Trial) -> Trial:
         """The trial fitted to the end, so that the next effect does not make up for what is left of the way."""
-        fit = trial.fit
-        for _ in range(POLISHED):
-            found = self.court.settle(fit, iterations=6)
-            gain, fit = fit.cost - found.cost, found
-            if gain < LEAST_GAIN:
-                break
+        fit = self.court.converged(trial.fit)
         self._count(fit.replay)
         return self.court.judge(trial.effect, fit)
 

@@ -29,6 +29,9 @@ LEAST_GAIN = 5.0
 """Log density [nats] that a candidate must gain on the windows it is fitted to for a closer look: with dozens of
 candidates that much comes by chance, and more is needed where no fit saw the data."""
 
+POLISHED = 4
+"""Turns of a fit to the end at most."""
+
 SCREENED = 60
 """Windows that candidates are screened on."""
 
@@ -98,6 +101,15 @@ class Court:
             fit = self.fitter.rescale(fit, self.scatter(fit))
             fit = self.fitter.improve(fit, iterations, kept)
         return self.fitter.rescale(fit, self.scatter(fit))
+
+    def converged(self, fit: Fit, kept: int = 0) -> Fit:
+        """The same until a turn gains no more than chance."""
+        for _ in range(POLISHED):
+            found = self.settle(fit, iterations=6, kept=kept)
+            gain, fit = fit.cost - found.cost, found
+            if gain < LEAST_GAIN:
+                break
+        return fit
 
     def gathered(self, fit: Fit, turns: int, width: float) -> Fit:
         """Samples that gather about a fit, ever closer, until nothing is gained: for where slopes mislead.

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.em import fit_mixture, spread_out
-from nfpde.estimation.trajectory.gaussians import Gaussians, joined
+from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.pool import Ratios
+from nfpde.estimation.trajectory.sharpening import Kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -95,14 +96,15 @@ def compete(
         posteriors: of two robots or more, with the uniform prior.
         quadratics: their likelihoods.
         ratios: what their recordings say.
-        smoothing: covariance that makes the robots' posteriors predict others, (D, D): see `smoothing_matrix`.
+        smoothing: covariance of the kernel with which the robots' posteriors predict others best, (D, D): see
+            `smoothing_matrix`.
         among: names of the candidates that take part; None for all. `SMOOTHED` always does.
     """
     robots = len(posteriors)
     fold = np.arange(robots) % min(robots, FOLDS)
     best = np.array([p.means[0] for p in posteriors])
     spread = np.sqrt(np.maximum(best.var(0, ddof=1), 1e-12))
-    fitters: dict[str, Fitter] = {SMOOTHED: lambda own: kernels(posteriors, own, smoothing)}
+    fitters: dict[str, Fitter] = {SMOOTHED: lambda own: Kernels.of([posteriors[g] for g in own], smoothing).mixture()}
     if robots <= MOST_KERNELS:
         fitters[f"{SMOOTHED}, each informed by the others"] = partial(
             _informed, posteriors, quadratics, smoothing=smoothing
@@ -135,33 +137,20 @@ def compete(
     return Competition(candidates, fold)
 
 
-def kernels(posteriors: Sequence[LocalPosterior], robots: Index, smoothing: Array) -> Gaussians:
-    """The equal mixture of the robots' posteriors, every Gaussian widened by `smoothing` (D, D)."""
-    parts = [
-        Gaussians(posteriors[g].weights, posteriors[g].means, posteriors[g].covariances + smoothing) for g in robots
-    ]
-    return joined(parts, np.full(len(parts), 1 / len(parts)))
-
-
 def informed_kernels(
     posteriors: Sequence[LocalPosterior], quadratics: Sequence[Quadratic], robots: Index, smoothing: Array
 ) -> Gaussians:
-    """The same with every posterior informed by the population of the other robots, again and again.
+    """`Kernels` of posteriors that the population of the other robots informs, again and again.
 
     It is expectation-maximisation with a smoothed maximisation step (Silverman, Jones, Wilson, Nychka, A smoothed EM
     approach to indirect estimation problems, 1990), each robot being left out of its own prior.
     """
-    parts = {g: kernels(posteriors, np.array([g]), smoothing) for g in robots}
-    if len(parts) < 2:
-        return parts[robots[0]]
-    for _ in range(3):
-        informed = {}
-        for g in robots:
-            others = [parts[o] for o in robots if o != g]
-            p = quadratics[g].times(joined(others, np.full(len(others), 1 / len(others)))).heaviest(8, 1e-3)
-            informed[g] = Gaussians(p.weights, p.means, p.covariances + smoothing)
-        parts = informed
-    return joined(list(parts.values()), np.full(len(parts), 1 / len(parts)))
+    kernels = Kernels.of([posteriors[g] for g in robots], smoothing)
+    if len(robots) > 1:
+        for _ in range(3):
+            informed = [quadratics[g].times(kernels.mixture(without=i)).heaviest(8, 1e-3) for i, g in enumerate(robots)]
+            kernels = Kernels.of(informed, smoothing)
+    return kernels.mixture()
 
 
 def _informed(

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.modes import LocalPosterior
+from nfpde.estimation.trajectory.sharpening import Kernels
 from nfpde.flow import INITIAL_SCALE, GaussianMixture
 
 Array = NDArray[np.float64]
@@ -27,18 +28,8 @@ def prior_density(features: int) -> GaussianMixture:
     return GaussianMixture(torch.ones(1), torch.zeros(1, features), torch.diag(variance)[None])
 
 
-def mixture_of(posteriors: Sequence[LocalPosterior], smoothing: Array | None = None) -> GaussianMixture:
-    """The equal mixture of the robots' posteriors in z, every Gaussian widened by `smoothing` (D, D)."""
-    weights = np.concatenate([p.weights for p in posteriors]) / len(posteriors)
-    means = np.concatenate([p.means for p in posteriors])
-    covariances = np.concatenate([p.covariances for p in posteriors])
-    if smoothing is not None:
-        covariances = covariances + smoothing
-    return GaussianMixture(*(torch.from_numpy(a) for a in (weights, means, covariances)))
-
-
 def smoothing_matrix(posteriors: Sequence[LocalPosterior]) -> tuple[Array, float]:
-    """How far to widen the robots' posteriors so that they predict robots not seen.
+    """How far to smooth the robots' posteriors, by `Kernels`, so that they predict robots not seen.
 
     The kernel is diagonal, with the variances of the robots' modes (a full covariance would measure the distance
     between kinds of robot and not within one), times the squared bandwidth that maximises the leave-one-out
@@ -46,8 +37,8 @@ def smoothing_matrix(posteriors: Sequence[LocalPosterior]) -> tuple[Array, float
     would be one spike per robot.
 
     Returns:
-        The matrix to add to every covariance (D, D), and the bandwidth; zeros for a single robot, from which nothing
-        can be learned about others.
+        The kernel's covariance (D, D), and the bandwidth; zeros for a single robot, from which nothing can be learned
+        about others.
     """
     d = posteriors[0].means.shape[1]
     if len(posteriors) < 2:
@@ -60,20 +51,16 @@ def smoothing_matrix(posteriors: Sequence[LocalPosterior]) -> tuple[Array, float
 
 
 def leave_one_out(posteriors: Sequence[LocalPosterior], smoothing: Array) -> float:
-    """Mean over robots of log sum over the others of N(z_e; z_o, C_e + C_o + smoothing) / (G - 1) [nats].
+    """Mean over robots of the log likelihood [nats] of each one's best mode, known as it is, without it in `Kernels`.
 
-    Of more than `LEFT_OUT` robots as many are left out, spread over all: the bandwidth is one number.
+    The robot's own covariance is added to those of the others' mixture. Of more than `LEFT_OUT` robots as many are left
+    out, spread over all: the bandwidth is one number.
     """
-    total = 0.0
+    kernels = Kernels.of(posteriors, smoothing)
     tried = np.unique(np.linspace(0, len(posteriors) - 1, min(len(posteriors), LEFT_OUT)).astype(int))
+    scores = []
     for e in tried:
-        left_out = posteriors[e]
-        others = [o for i, o in enumerate(posteriors) if i != e]
-        weights = np.concatenate([o.weights for o in others]) / len(others)
-        means = np.concatenate([o.means for o in others])
-        covariances = np.concatenate([o.covariances for o in others]) + left_out.covariances[0] + smoothing
-        step = left_out.means[0] - means
-        squares = np.einsum("kd,kd->k", step, np.linalg.solve(covariances, step[..., None])[..., 0])
-        logs = -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
-        total += float(np.asarray(logsumexp(logs, b=weights)))
-    return total / len(tried)
+        others, left_out = kernels.mixture(without=int(e)), posteriors[e]
+        seen = Gaussians(others.weights, others.means, others.covariances + left_out.covariances[0])
+        scores.append(seen.log_density(left_out.means[:1])[0])
+    return float(np.mean(scores))
