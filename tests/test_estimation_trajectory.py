@@ -13,11 +13,11 @@ from nfpde.estimation.trajectory import (
     LocalPosterior,
     TrajectoryEstimator,
     make_problem,
-    mixture_of,
     smoothing_matrix,
 )
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.population import BANDWIDTHS, leave_one_out
+from nfpde.estimation.trajectory.sharpening import Kernels
 from nfpde.estimation.trajectory.student import GAUSSIAN, learn_student
 
 torch.set_num_threads(1)
@@ -208,9 +208,9 @@ def test_smoothing_predicts_robots_not_seen():
     assert bandwidth == BANDWIDTHS[int(np.argmax(scores))]
     width = np.sqrt(matrix.diagonal())
     assert 0.03 < width[0] < 0.5, "between a spike and the distance of the two kinds"
-    population = mixture_of(posteriors, matrix)
-    fresh = torch.from_numpy(np.repeat(centres, 500, axis=0) + 0.1 * rng.normal(size=(1000, 2)))
-    assert population.log_prob(fresh).mean() > mixture_of(posteriors).log_prob(fresh).mean()
+    fresh = np.repeat(centres, 500, axis=0) + 0.1 * rng.normal(size=(1000, 2))
+    smoothed, spiky = (Kernels.of(posteriors, s).mixture() for s in (matrix, 0 * matrix))
+    assert smoothed.log_density(fresh).mean() > spiky.log_density(fresh).mean()
 
 
 def test_one_robot_gives_its_own_posterior():

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.sharpening import Kernels
 from nfpde.flow import INITIAL_SCALE, GaussianMixture
@@ -61,6 +61,9 @@ def leave_one_out(posteriors: Sequence[LocalPosterior], smoothing: Array) -> flo
     scores = []
     for e in tried:
         others, left_out = kernels.mixture(without=int(e)), posteriors[e]
-        seen = Gaussians(others.weights, others.means, others.covariances + left_out.covariances[0])
-        scores.append(seen.log_density(left_out.means[:1])[0])
+        covariances = others.covariances + left_out.covariances[0]
+        step = left_out.means[0] - others.means
+        squares = np.einsum("kd,kd->k", step, np.linalg.solve(covariances, step[..., None])[..., 0])
+        logs = -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
+        scores.append(logsumexp(logs, b=others.weights))
     return float(np.mean(scores))

@@ -5,30 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.gaussians import Gaussians
+from nfpde.estimation.trajectory.modes import LocalPosterior
 
 Array = NDArray[np.float64]
 
 TINY = 1e-300
 """In place of zero under a fraction."""
-
-
-class Mixture(Protocol):
-    """What is known of one robot, in z: Gaussians with weights (K,), means (K, D), covariances (K, D, D)."""
-
-    @property
-    def weights(self) -> Array: ...
-
-    @property
-    def means(self) -> Array: ...
-
-    @property
-    def covariances(self) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +42,13 @@ class Kernels:
     nearness: of every two robots, 1 of each to itself                     (G, G)
     """
 
-    robots: Sequence[Mixture]
+    robots: Sequence[LocalPosterior | Gaussians]
     smoothing: Array
     places: Array
     nearness: Array
 
     @classmethod
-    def of(cls, robots: Sequence[Mixture], smoothing: Array) -> Kernels:
+    def of(cls, robots: Sequence[LocalPosterior | Gaussians], smoothing: Array) -> Kernels:
         """Around one robot or more; its cost grows with their number squared."""
         places = np.array([r.means[0] for r in robots])
         # half of each robot's variance: that of a difference is the sum of both, and of twice the kernel
@@ -73,13 +60,13 @@ class Kernels:
 
     def mixture(self, without: int | None = None) -> Gaussians:
         """The population; without one robot it is that of all others, as if it had never been there."""
-        kept = [g for g in range(len(self.robots)) if g != without]
+        owner, weights, means, covariances = self._parts
         moves = self.moves(without)
-        return Gaussians(
-            np.concatenate([self.robots[g].weights for g in kept]) / len(kept),
-            np.concatenate([self.robots[g].means + move for g, move in zip(kept, moves, strict=True)]),
-            np.concatenate([self.robots[g].covariances for g in kept]) + self.smoothing,
-        )
+        if without is not None:
+            stays = owner != without
+            weights, means, covariances = (a[stays] for a in (weights, means, covariances))
+            owner = owner[stays] - (owner[stays] > without)
+        return Gaussians(weights / len(moves), means + moves[owner], covariances)
 
     def moves(self, without: int | None = None) -> Array:
         """From every robot's place to its centre, (G, D); of the others, (G - 1, D), without one robot."""
@@ -90,6 +77,15 @@ class Kernels:
         less = (gone, gone**2, gone * at, gone * at**2)
         left = [np.delete(a - b, without, axis=0) for a, b in zip(self._sums, less, strict=True)]
         return _moves(np.delete(z, without, axis=0), left, kernel)
+
+    @cached_property
+    def _parts(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
+        """Of all Gaussians of all robots: whose it is, weight, mean, smoothed covariance."""
+        owner = np.repeat(np.arange(len(self.robots)), [len(r.weights) for r in self.robots])
+        weights, means, covariances = (
+            np.concatenate([getattr(r, name) for r in self.robots]) for name in ("weights", "means", "covariances")
+        )
+        return owner, weights, means, covariances + self.smoothing
 
     @cached_property
     def _around_mean(self) -> Array:
