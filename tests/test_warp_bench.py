@@ -5,14 +5,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 
 from nfpde.bench import devices, losses_warp
+from nfpde.bench.device_rows import CHANCE, diagnosis_row, softmax_row, trajectory_row
 from nfpde.bench.estimation.calibration import CalibrationSettings, problem
 from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.bench.partial import Partial
 from nfpde.benchmarks import robot
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, TrajectoryConfig
+from nfpde.gap import Fitted
 from nfpde.sim.warp import WarpSimulator
 
 
@@ -143,40 +146,101 @@ def test_what_is_wanted_of_a_gpu(rows, text):
     assert text in "\n".join(losses_warp._verdicts(rows))
 
 
-def test_fits_from_end_to_end_on_both_devices(monkeypatch, tmp_path, capsys):
-    """A row for each fit with both devices' seconds and answers; whole trajectories agree to a part of their error."""
+def test_from_end_to_end_on_both_devices(monkeypatch, tmp_path, capsys):
+    """A row with seconds, answers and verdict for both fits and a diagnosis, each of them run on both devices."""
     small = devices.Sizes(
         episodes=2,
         steps=20,
         softmax=NfpdeConfig(iterations=1, samples=10, transitions=4, transforms=1, hidden=4),
         trajectory=TrajectoryConfig(starts=2, steps=6, rounds=8, draws=20, population_rounds=1),
+        seeds=2,
+        systems=(5,),
+        windows=40,
     )
+    asked = []
+
+    def diagnose(model, data, space, *, seed, windows, device):
+        asked.append((device, windows, len(data) > 0, model.is_file()))
+        cause = SimpleNamespace(
+            effect="backlash" if device == "cpu" else "dead_zone",
+            target="elbow",
+            parameters={"width": Fitted(0.1, 0.09, 0.11, "rad")},
+        )
+        gap = SimpleNamespace(after_effects=0.25)
+        return SimpleNamespace(verdict="effects", effects=[cause], base={}, gap=gap)
+
     monkeypatch.setattr(devices, "QUICK", small)
     monkeypatch.setattr(devices, "ROBOT", "pendulum")
+    monkeypatch.setattr(devices, "diagnose_gap", diagnose)
     monkeypatch.setattr(losses_warp, "run", lambda *_: None)
     devices.run(True, tmp_path, "warp-cpu")
     facts = json.loads((tmp_path / "devices_warp-cpu_quick.json").read_text())
     assert [name.split(":")[0] for name in facts["devices"]] == ["cpu", "warp-cpu"]
-    trajectory, softmax = facts["rows"]
+    trajectory, softmax, diagnosis = facts["rows"]
     # either search stops within 0.03 standard deviations of its optimum (1e-3 in cost), by its own noise estimate
-    assert float(trajectory["apart"].split()[0]) < 0.3
-    assert softmax["what"].startswith("fit by softmax")
+    assert trajectory["standard_deviations"] < 0.3
+    assert trajectory["same"]
+    assert [len(distances) for distances in softmax["distances"]] == [2, 2]
+    assert asked == [("cpu", 40, True, True), ("warp-cpu", 40, True, True)]
+    assert diagnosis["answers"] == ["effects, backlash elbow (width 0.1)", "effects, dead_zone elbow (width 0.1)"]
     table = (tmp_path / "devices_warp-cpu_quick.md").read_text()
     assert "nfpde bench devices --device warp-cpu --quick" in table
     assert table in capsys.readouterr().out
+    assert table.count("| FAIL |") == 1 + (not softmax["same"])
+    assert not list(tmp_path.glob("*.part.json"))
 
 
-def test_a_diagnosis_that_differs_is_said(monkeypatch):
-    """The same system goes to both devices; another verdict or cause stands out in the table."""
-    asked = []
+def of_distances(*distances):
+    return [{"seconds": 1.0, "distance": d} for d in distances]
 
-    def diagnose(model, data, space, *, seed, windows, device):
-        asked.append(device)
-        cause = SimpleNamespace(effect="backlash" if device == "cpu" else "dead_zone", target="elbow")
-        return SimpleNamespace(verdict="effects", effects=[cause], gap=SimpleNamespace(after_effects=0.25))
 
-    monkeypatch.setattr(devices, "diagnose_gap", diagnose)
-    row = devices._diagnosis_row(2, 40, "warp-cpu")
-    assert asked == ["cpu", "warp-cpu"]
-    assert row["answers"] == ["effects, backlash elbow", "effects, dead_zone elbow"]
-    assert row["apart"] == "ANOTHER ANSWER; gap left 0.25, 0.25"
+def test_softmax_on_two_devices_is_judged_by_the_spread_of_seeds():
+    """The t-test of two samples, against scipy's: a difference within the seeds' spread is none, a wider one fails."""
+    rng = np.random.default_rng(0)
+    a, b = 0.3 + 0.02 * rng.normal(size=5), 0.3 + 0.02 * rng.normal(size=5)
+    for shift in (0.0, 0.01, 0.02, 0.03, 0.04, -0.1):
+        row = softmax_row("fit", of_distances(*a), of_distances(*(b + shift)))
+        assert row["same"] == (np.asarray(ttest_ind(a, b + shift))[1] > CHANCE)
+    assert softmax_row("fit", of_distances(0.2, 0.2), of_distances(0.2, 0.2))["same"], "the same numbers"
+    assert not softmax_row("fit", of_distances(0.2, np.nan), of_distances(0.2, 0.2))["same"], "no number"
+
+
+def test_the_same_devices_are_seldom_called_different():
+    """Of 2000 comparisons of five seeds with five, one in twenty fails, within four binomial standard deviations."""
+    draws = np.random.default_rng(1).normal(size=(2000, 2, 5))
+    failed = sum(not softmax_row("fit", of_distances(*a), of_distances(*b))["same"] for a, b in draws)
+    assert abs(failed - 100) < 4 * np.sqrt(2000 * 0.05 * 0.95)
+
+
+@pytest.mark.parametrize(("moved", "same"), [(0.0, True), (0.4, True), (0.5, False), (np.nan, False)])
+def test_trajectories_are_judged_in_their_standard_deviations(moved, same):
+    """The worst robot and parameter counts: 0.3 of both fits' deviations together, which is 0.42 of either's."""
+    value, std = np.array([[1.0, 20.0], [2.0, 30.0]]), np.array([[0.1, 5.0], [0.2, 7.0]])
+    other = value.copy()
+    other[1, 0] += moved * std[1, 0]
+    fits = [{"seconds": 1.0, "distance": 0.1, "value": v.tolist(), "std": std.tolist()} for v in (value, other)]
+    assert trajectory_row("fit", *fits)["same"] == same
+
+
+def found(verdict="effects", cause="backlash elbow", value=0.1, mass=1.0):
+    causes = {cause: {"width": {"value": value, "low": value - 0.01, "high": value + 0.01}}} if cause else {}
+    base = {"mass": {"value": mass, "low": 0.9, "high": 1.1}}
+    return {"seconds": 1.0, "verdict": verdict, "causes": causes, "parameters": base, "left": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (found(), "2 fitted values within each other's intervals; gap left 0.2, 0.2"),
+        (found(value=0.109), "2 fitted values within each other's intervals; gap left 0.2, 0.2"),
+        (found(value=0.111), "outside of the other's interval: backlash elbow width; gap left 0.2, 0.2"),
+        (found(mass=1.2), "outside of the other's interval: mass; gap left 0.2, 0.2"),
+        (found(cause="backlash hip"), "other causes; gap left 0.2, 0.2"),
+        (found("unexplained", cause=""), "another verdict; other causes; gap left 0.2, 0.2"),
+    ],
+)
+def test_diagnoses_are_judged_by_verdict_causes_and_values(other, says):
+    """Each difference is named and fails; values may differ by what the recordings leave open."""
+    row = diagnosis_row("diagnosis", found(), other)
+    assert row["apart"] == says
+    assert row["same"] == says.startswith("2 fitted")
