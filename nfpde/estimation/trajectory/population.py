@@ -15,8 +15,11 @@ from nfpde.flow import INITIAL_SCALE, GaussianMixture
 
 Array = NDArray[np.float64]
 
-BANDWIDTHS = np.geomspace(1e-3, 3.0, 48)
-"""Candidates, in standard deviations of the robots around their mean."""
+BANDWIDTHS = np.geomspace(1e-3, 1.0, 41)
+"""Candidates, in standard deviations of the robots around their mean: from a spike for each to one Gaussian for all.
+
+A wider kernel would have more than the robots' variance, which no centre could take back.
+"""
 
 LEFT_OUT = 40
 """Robots that are left out in turn, at most."""
