@@ -218,8 +218,13 @@ def test_trajectories_are_judged_in_their_standard_deviations(moved, same):
     value, std = np.array([[1.0, 20.0], [2.0, 30.0]]), np.array([[0.1, 5.0], [0.2, 7.0]])
     other = value.copy()
     other[1, 0] += moved * std[1, 0]
-    fits = [{"seconds": 1.0, "distance": 0.1, "value": v.tolist(), "std": std.tolist()} for v in (value, other)]
-    assert trajectory_row("fit", *fits)["same"] == same
+    fits = [
+        {"seconds": 1.0, "distance": 0.1, "converged": done, "value": v.tolist(), "std": std.tolist()}
+        for v, done in ((value, True), (other, False))
+    ]
+    row = trajectory_row("fit", *fits)
+    assert row["same"] == same
+    assert row["answers"] == ["0.1 from the truth", "0.1 from the truth, stopped before it settled"]
 
 
 def found(verdict="effects", cause="backlash elbow", value=0.1, mass=1.0):

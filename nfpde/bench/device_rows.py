@@ -40,13 +40,19 @@ def softmax_row(what: str, here: list[dict[str, Any]], there: list[dict[str, Any
 
 
 def trajectory_row(what: str, here: dict[str, Any], there: dict[str, Any]) -> dict[str, Any]:
-    """The same fit on both devices; each has `seconds`, `distance`, and robots by parameters of `value` and `std`."""
+    """The same fit on both devices.
+
+    Each has `seconds`, `distance` to the truth, `converged`, and robots by parameters of `value` and `std`.
+    """
     (a, a_std), (b, b_std) = ([np.array(fit[key]) for key in ("value", "std")] for fit in (here, there))
     apart = float(np.max(np.abs(a - b) / np.hypot(a_std, b_std)))
     return {
         "what": what,
         "seconds": [fit["seconds"] for fit in (here, there)],
-        "answers": [f"{fit['distance']:.3g} from the truth" for fit in (here, there)],
+        "answers": [
+            f"{fit['distance']:.3g} from the truth" + ", stopped before it settled" * (not fit["converged"])
+            for fit in (here, there)
+        ],
         "apart": f"{apart:.2g} standard deviations at most; {STILL:g} allowed",
         "standard_deviations": apart,
         "same": apart <= STILL,

@@ -64,8 +64,10 @@ class Sizes:
 QUICK = Sizes(
     episodes=3,
     steps=30,
-    softmax=NfpdeConfig(iterations=3, samples=50, transitions=8, transforms=2, hidden=16),
-    trajectory=TrajectoryConfig(starts=2, steps=4, rounds=3, population_rounds=1),
+    # as many iterations as a real fit: rounding is felt only after the flow has become narrow
+    softmax=NfpdeConfig(samples=100, transitions=8, transforms=2, hidden=16),
+    # to its end: two searches that were stopped on their way are apart as far as they still had to go
+    trajectory=TrajectoryConfig(starts=2, population_rounds=1),
     # an arm without contacts: the cheapest of those whose cause so few windows tell
     systems=(2,),
     windows=40,
@@ -153,6 +155,7 @@ def _fit(
         "distance": emd(result.distribution.sample(SAMPLES, SEED) / width, truth.xi / width).cost,
     }
     if method == "trajectory":
+        found["converged"] = result.info["converged"]
         for key in ("value", "std"):
             found[key] = [[p[key] for p in r["parameters"].values()] for r in result.info["robots"]]
     return found
