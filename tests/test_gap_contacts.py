@@ -10,11 +10,11 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap.chart import Chart
 from nfpde.gap.fit import Fitter
-from nfpde.gap.gather import spread
+from nfpde.gap.gather import Gathering, spread
 from nfpde.gap.noise import floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import search, search_about, search_all, search_near
+from nfpde.gap.search import search, search_about, search_all
 from nfpde.gap.sensors import sensor_noise
 from nfpde.parameters import Parameter, ParameterSpace
 
@@ -125,7 +125,9 @@ def test_samples_gather_where_least_squares_end():
     fitter, line = Fitter(ANYTHING, (1, 2)), Line()
     floor = np.full((1, 4), 1e-3)
     near = fitter.start(line, truth[None] + 0.02, learn_scatter(rng.normal(size=(100, 1, 4)), 0, floor))
-    assert search_near(fitter, near).xi == pytest.approx(truth, abs=1e-4)
+    gathering = Gathering(fitter, line, Chart(line), floor, near.xi, np.arange(2))
+    gathering.rounds(3, np.full(2, 0.04), np.random.default_rng(0))
+    assert gathering.best == pytest.approx(truth, abs=1e-4)
 
 
 def test_coordinates_of_free_parameters():
@@ -182,6 +184,7 @@ def test_samples_evolve_to_a_place_among_ripples(seed):
     class Rippled(Replay):
         effects = (effect("ground_height", height=(-0.1, 0.1)), effect("ground_friction", sliding=(0.05, 3.0)))
         low, high, nbase = np.array([-0.1, 0.05]), np.array([0.1, 3.0]), 0
+        near = np.full(2, np.nan)
 
         def __init__(self):
             pass
@@ -194,6 +197,6 @@ def test_samples_evolve_to_a_place_among_ripples(seed):
     floor = np.full((1, 4), 1e-3)
     fitter, replay = Fitter(ANYTHING, (1, 2)), Rippled()
     guess = fitter.start(replay, np.array([[0.005, 1.5]]), learn_scatter(weights.T.reshape(-1, 1, 4), 0, floor))
-    found = search_about(fitter, guess, 0, seed)
+    found = search_about(fitter, guess, 0.5, seed)
     before = np.abs(guess.xi - truth)
     assert (np.abs(found[0] - truth) < 0.3 * before).all()

@@ -44,7 +44,8 @@ class Chart:
                 else:
                     zero = float(np.clip(quantity.neutral, low, high)) if finite else low
                     self._zero[column] = zero
-                    self._unit[column] = _NEARBY * max(high - zero, zero - low)
+                    near = replay.near[column]
+                    self._unit[column] = near if np.isfinite(near) else _NEARBY * max(high - zero, zero - low)
         self.low, self.high = self.inward(self._low), self.inward(self._high)
 
     def inward(self, xi: Array) -> Array:

@@ -31,9 +31,9 @@ from nfpde.sim import Device, load_model
 
 Array = NDArray[np.float64]
 
-GATHERINGS, WIDE = 5, 0.3
-"""Turns of samples about the parameters where contacts make slopes mislead, and their first width in the chart's
-units: what a base has left to gain every effect would seem to explain."""
+GATHERINGS = 5
+"""Turns of samples about the parameters at most where contacts make slopes mislead: what a base has left to gain every
+effect would seem to explain."""
 
 
 def diagnose_gap(
@@ -186,7 +186,7 @@ def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> t
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     found = court.settle(fitter.rescale(found, court.scatter(found)))
     if court.rugged and found.replay.nfree:
-        found = court.gathered(found, GATHERINGS, WIDE)
+        found = court.evolved(found, GATHERINGS)
     found = fitter.linearise(found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
     return nominal, court.judge(None, found), court, held / other.scale

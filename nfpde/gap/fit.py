@@ -137,9 +137,9 @@ class Fitter:
         matrix = np.einsum("dnvc,envc->de", weighted, slopes, optimize=True) + np.eye(k) / PRIOR**2
         gradient = np.einsum("dnvc,nvc->d", weighted, white) + (u[:k] - 0.5) / PRIOR**2
         moved = np.clip(u[:k] - np.linalg.solve(matrix, gradient), 0.0, 1.0)
-        change = np.tensordot(moved - u[:k], base.slopes, 1)
+        foretold: Array = residuals + np.einsum("d,dnvc->nvc", moved - u[:k], base.slopes)
         u[:k] = moved
-        return self._cost(u, residuals + change, scatter)
+        return self._cost(u, foretold, scatter)
 
     def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""

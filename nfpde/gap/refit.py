@@ -11,32 +11,34 @@ from numpy.typing import NDArray
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
 from nfpde.gap.noise import Scatter
+from nfpde.gap.reach import reaches
+from nfpde.gap.replay import Replay
 from nfpde.gap.screen import SHARE, Screened
 from nfpde.gap.search import all_over, search, search_about
-from nfpde.gap.trial import GLANCED, LEAST_GAIN, Court, Trial
+from nfpde.gap.trial import GLANCED, LEAST_GAIN, SOUGHT, Court, Trial
 
 Array = NDArray[np.float64]
 
-QUICK = 12
+QUICK = 6
 """Generations of samples for a rough fit where contacts make slopes mislead."""
 
-TURNS, NARROW = 2, 0.1
-"""Turns of samples about a hopeful candidate, and their first width, see `Court.gathered`."""
-
-SOUGHT = 30
-"""Windows on which hopeful candidates are sought where contacts make slopes mislead."""
+ABOUT = 0.5
+"""Distance of the first samples of an effect's parameters about a guess, in the chart's units."""
 
 GUESSES = 3
 """Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
 
 LOOKS = 16
-"""Values looked at for a guess where motion is smooth, for each parameter of an effect."""
+"""Values looked at for a guess, for each parameter of an effect."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
 FIRST, SECOND = 8, 4
 """Candidates refitted roughly, and to the end."""
+
+RUGGED = 12
+"""Candidates refitted roughly where contacts are: screening goes by slopes and is often wrong there."""
 
 
 def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
@@ -48,7 +50,7 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
         screened: Candidates, best first.
     """
     refitting, found = Refitting(court, base), list[tuple[float, Screened, Fit]]()
-    for s in sorted(_hopeful(screened), key=lambda s: s.effect.whole == "contact"):
+    for s in sorted(_hopeful(screened, RUGGED if court.rugged else FIRST), key=lambda s: s.effect.whole == "contact"):
         fits = refitting.rough(s)
         gain, best = max((refitting.promise(fit), i) for i, fit in enumerate(fits))
         if gain > LEAST_GAIN:
@@ -59,14 +61,14 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
     trials = []
     for s, fit in close:
         if base.cost - fit.cost >= HOPEFUL * most:
-            fit = court.gathered(fit, TURNS, NARROW) if court.rugged else court.converged(fit, kept=len(base.xi))
+            fit = court.converged(fit, kept=len(base.xi))
         trials.append(court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))))
     return sorted(trials, key=lambda trial: -trial.density.mean())
 
 
-def _hopeful(screened: Sequence[Screened]) -> list[Screened]:
+def _hopeful(screened: Sequence[Screened], count: int) -> list[Screened]:
     """Those that could explain enough, and what contacts may do: at other sizes that is more than screening can see."""
-    enough = [s for s in screened[:FIRST] if s.share >= SHARE]
+    enough = [s for s in screened[:count] if s.share >= SHARE]
     return enough + [s for s in screened if s.effect.whole == "contact" and s.change.any() and s not in enough]
 
 
@@ -82,6 +84,8 @@ class Refitting:
         self._court, self._base = court, base
         self._few, self._few_part = court.screening(base, GLANCED)
         self._some, self._part = court.screening(base)
+        if court.rugged:
+            self._beside = reaches(self._few, base.replay, base.xi, court.floor)
         self._gap = self._least = spread(self._part.residuals, court.floor)
 
     def rough(self, screened: Screened) -> list[Fit]:
@@ -105,7 +109,8 @@ class Refitting:
         court, kept = self._court, len(self._base.xi)
         if court.rugged and hopeful:
             some = court.screening(self._base, SOUGHT)[0]
-            found = self._sampled(court.fitter, fit, search_about(some, fit, len(fit.replay.effects) - 1))
+            about = search_about(some, fit, self._widths(fit.replay))
+            found = court.best(fit, about)
             fit = court.fitter.rescale(replace(found, slopes=fit.slopes), court.scatter(found))
         fits = [court.fitter.improve(fit, 2, kept=kept)]
         if court.quiet is not None:  # windows that a scatter with heavy tails gives up count in this one
@@ -120,27 +125,36 @@ class Refitting:
         straight = np.concatenate([court.nominal, base.xi[len(court.nominal) :]])
         starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in (base.xi, straight)]
         guesses = np.concatenate(starts)
+        threshold = not all(np.isfinite(q.neutral) for q in screened.effect.quantities)
+        if threshold or not court.rugged:
+            # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
+            guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS * values.shape[1])])
         if court.rugged:
             if screened.effect.whole == "contact":
                 enough = self._gap - SHARE * (self._gap - self._least)
                 fit = search(self._some, replay, index, guesses, by, enough=enough)
             else:
-                fit = self._some.start(replay, self._few.best(replay, guesses, by, 1), by)
+                guesses = self._few.best(replay, guesses, by, GUESSES, self._few_part)
+                fit = self._sampled(self._few, self._few.start(replay, guesses[:1], by), guesses[1:])
+                fit = self._some.start(replay, fit.xi[None], by)
             # parameters may have to go a long way with the effect
-            return self._sampled(self._some, fit, search_about(self._few, fit, index, generations=QUICK))
-        # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
-        guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS * values.shape[1])])
+            about = search_about(self._few, fit, self._widths(replay), generations=QUICK)
+            return self._sampled(self._some, fit, about)
         # an effect whose part the parameters have played can be worse than none until they give it back
         guesses = self._few.best(replay, guesses, by, GUESSES, self._few_part)
         fit = self._some.start(replay, guesses, by)
         fit.slopes[: len(base.xi)] = self._part.slopes
         return self._some.improve(fit, 2, kept=len(base.xi))
 
+    def _widths(self, replay: Replay) -> Array:
+        """Distances of the first samples about a guess, in the chart's units (D,)."""
+        widths = np.full(replay.nfree, ABOUT)
+        widths[: len(self._beside)] = self._beside
+        return widths
+
     def _sampled(self, fitter: Fitter, fit: Fit, places: Array) -> Fit:
-        """The best of a fit's place and others (B, D)."""
-        places = np.vstack([fit.xi, places])
-        costs = [spread(r, self._court.floor) for r in fitter.residuals_at(fit.replay, places)]
-        return fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
+        """The best of a fit's place and others (B, D) by what they leave over on a part of the windows."""
+        return replace(self._court, fitter=fitter).best(fit, places)
 
     def _whole(self, screened: Screened, fit: Fit) -> Fit:
         """The same place on all windows."""

@@ -54,6 +54,8 @@ class Replay:
         low, high: bounds of the free parameters: base parameters first, then those of the effects (D,).
         nbase: number of base parameters.
         effects: the effects.
+        near: distances from neutral that matter, by which searches of the effects' parameters are scaled (D,); NaN
+            where none is known.
     """
 
     effects: tuple[Effect, ...] = ()
@@ -74,6 +76,7 @@ class Replay:
         self.nbase = 0 if space is None else len(space)
         self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]
         self.parameters = list(self.sim.space)[: -self.nv]
+        self.near = np.full(len(self.low), np.nan)
 
     @property
     def nfree(self) -> int:

@@ -17,6 +17,7 @@ from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
 from nfpde.gap.noise import Scatter
+from nfpde.gap.reach import matched, near_neutral
 from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
@@ -25,6 +26,9 @@ _SIZES = (0.4, 1.0, 2.0, 3.5)
 
 SHARE = 0.25
 """Candidates that could explain less than this share of what the best could are not refitted."""
+
+_CLOSEST = 3
+"""Guesses whose gain is looked at where contacts are, with the parameters where they are and where slopes lead them."""
 
 _MOST_SCALE = 1.5
 """How far beyond a screened magnitude the linear scale may go."""
@@ -36,14 +40,17 @@ class Screened:
 
     effect: the candidate
     replay: base effects and the candidate
+    values: that were tried (K, P)
     explained: reduction of half the weighted squares by each scatter [nats]
-    share: of what the best candidate could explain; by the scatter in which it is largest
+    share: of what the best candidate could explain; by the scatter in which it is largest, or where contacts make
+        slopes mislead of what the best one has gained, if that is more
     starts: scatters in which it explains something, with values to start a fit from (G, P)
     change: the projected, weighted change that explains most, of unit length (n,), by the first scatter
     """
 
     effect: Effect
     replay: Replay
+    values: Array
     explained: tuple[float, ...]
     share: float
     starts: tuple[tuple[Scatter, Array], ...]
@@ -79,6 +86,8 @@ def screen(
     candidates: Sequence[tuple[Effect, Array]],
     replay_with: Callable[[Effect], Replay],
     quiet: Scatter | None = None,
+    *,
+    rugged: bool = False,
 ) -> list[Screened]:
     """Screen candidates at a linearised base fit, best first.
 
@@ -89,28 +98,43 @@ def screen(
         replay_with: Makes the replay of the base and one more effect, its parameters last.
         quiet: What residuals scatter by where nothing is missing. What acts in few windows has given the scatter of
             the base heavy tails, and counts for next to nothing in it.
+        rugged: Whether contacts make slopes mislead: values are brought down to sizes that matter first.
     """
     views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
     gap = spread(base.residuals, base.scatter.floor)
     found = []
     for effect, values in candidates:
         replay = replay_with(effect)
+        if rugged and effect.whole != "contact":  # those are searched over all their sizes
+            values = matched(fitter, replay, effect, base.xi, values, base.residuals, base.scatter.floor)
+            replay.near[len(base.xi) :] = near_neutral(effect, values)
         xi = np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
         there = fitter.residuals_at(replay, xi)
         searched = effect.whole == "contact"
         least = max(gap - spread(r, base.scatter.floor) for r in there) if searched else -np.inf
         judged = [_judge(effect, values, v.residual, v.changes(there), max(v.gain(there), least)) for v in views]
-        found.append((effect, replay, judged))
-    best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
+        gained = _gained(fitter, base, replay, judged[0].guesses) if rugged else 0.0
+        found.append((effect, replay, values, judged, gained))
+    best = [max((judged[v].explained for *_, judged, _ in found), default=0.0) for v in range(len(views))]
+    most_gained = max((gained for *_, gained in found), default=0.0)
     out = []
-    for effect, replay, judged in found:
+    for effect, replay, values, judged, gained in found:
         shares = [j.explained / most if most > 0 else 0.0 for j, most in zip(judged, best, strict=True)]
         every = zip(views, judged, shares, strict=True)
         starts = tuple((v.scatter, j.guesses) for v, j, share in every if share >= SHARE)
         explained = tuple(j.explained for j in judged)
         starts = starts or ((views[0].scatter, judged[0].guesses),)
-        out.append(Screened(effect, replay, explained, max(shares), starts, judged[0].change))
+        shares.append(gained / most_gained if most_gained > 0 else 0.0)
+        out.append(Screened(effect, replay, values, explained, max(shares), starts, judged[0].change))
     return sorted(out, key=lambda s: -s.share)
+
+
+def _gained(fitter: Fitter, base: Fit, replay: Replay, guesses: Array) -> float:
+    """What the best of a candidate's guesses (G, P) leaves less than the base, see `spread` [nats]."""
+    xi = np.hstack([np.tile(base.xi, (len(guesses), 1)), guesses])
+    places = fitter.best(replay, xi, base.scatter, _CLOSEST, base)
+    floor = base.scatter.floor
+    return spread(base.residuals, floor) - min(spread(r, floor) for r in fitter.residuals_at(replay, places))
 
 
 def _span(base: Fit, scatter: Scatter, root: Array) -> Array:
@@ -167,7 +191,6 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     kept = np.array(guesses)
     kept[:, shape] = values[best, shape]
     kept = np.vstack([kept, *both])
-    margin = 1e-3 * (high - low)
     length = float(np.linalg.norm(change))
-    kept = np.clip(kept, low + margin, high - margin)
+    kept = np.clip(kept, low, high)
     return _Judged(max(explained, gain), kept, change / length if length else change)

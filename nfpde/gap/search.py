@@ -32,15 +32,14 @@ KEPT = 3
 ROUGH, FINE = 2, 5
 """Rounds of samples on few windows, and on all."""
 
-NEAR = 3
-"""Rounds of samples about a place that slopes have found."""
-
 GENERATIONS, OFFSPRING, BEST = 16, 8, 4
 """Generations of samples about a rough guess, samples in each at least, and those of all that are given back."""
 
-_ABOUT, _BESIDE = 0.5, 0.2
-"""Distance of the first samples, in the chart's units: about a rough guess, and of parameters beside the effect that is
-searched."""
+PATIENCE, STALLED = 8, 1.0
+"""Generations after which samples that have gained less [nats] are given up."""
+
+_BESIDE = 0.2
+"""Distance of the first samples of parameters beside the effect that is searched, in the chart's units."""
 
 _SHARE = 0.3
 """Distance of the first samples at most, as a share of the bounds."""
@@ -79,16 +78,10 @@ def search_all(fitter: Fitter, fit: Fit, seed: int = 0) -> Fit:
     return _search(fitter, fit.replay, np.arange(fit.replay.nfree), fit.xi[None], fit.scatter, rng, np.inf)
 
 
-def search_near(fitter: Fitter, fit: Fit, seed: int = 0, width: float = 0.04) -> Fit:
-    """The best of all free parameters of a fit together, close to where it is: `width` in units of the chart."""
-    replay, free = fit.replay, np.arange(fit.replay.nfree)
-    near = Gathering(fitter, replay, Chart(replay), fit.scatter.floor, fit.xi, free)
-    near.rounds(NEAR, np.full(len(free), width), np.random.default_rng(seed))
-    return fitter.start(replay, near.best[None], fit.scatter)
-
-
-def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0, generations: int = GENERATIONS) -> Array:
-    """The best free parameters (B, D) of samples that evolve about a rough guess, in which an effect moves most.
+def search_about(
+    fitter: Fitter, fit: Fit, widths: float | Array, seed: int = 0, generations: int = GENERATIONS
+) -> Array:
+    """The best free parameters (B, D) of samples that evolve about a guess.
 
     A linear model of the residuals leads nowhere from where they are but rugged; the covariance of the best samples
     does (CMA-ES: Hansen, Ostermeier, Evolutionary Computation 2001).
@@ -96,24 +89,26 @@ def search_about(fitter: Fitter, fit: Fit, index: int, seed: int = 0, generation
     Args:
         fitter: Of the windows.
         fit: The guess.
-        index: Which of its effects.
+        widths: Distances of the first samples, in the chart's units, of all parameters or of each (D,).
         seed: Of the samples.
         generations: How many of them.
     """
     replay, chart = fit.replay, Chart(fit.replay)
-    widths = np.full(replay.nfree, _BESIDE)
-    widths[replay.columns(index)] = _ABOUT
     widths = np.minimum(widths, _SHARE * (chart.high - chart.low))
     settings = {"CMA_stds": widths, "bounds": [chart.low, chart.high], "seed": seed + 1, "verbose": -9}
     settings["maxstd_boundrange"] = np.inf  # the limit fails where there is one parameter, or all are as wide
     evolution = cma.CMAEvolutionStrategy(chart.inward(fit.xi), 1.0, settings)
     tried, costs = [fit.xi], [spread(fitter.residuals_at(replay, fit.xi[None])[0], fit.scatter.floor)]
+    best = [costs[0]]
     for _ in range(generations):
+        if len(best) > PATIENCE and best[-1 - PATIENCE] - best[-1] < STALLED:
+            break
         at = evolution.ask(max(OFFSPRING, evolution.popsize))
         tried.extend(chart.outward(np.array(at)))
         new = [spread(r, fit.scatter.floor) for r in fitter.residuals_at(replay, np.array(tried[-len(at) :]))]
         evolution.tell(at, new)
         costs += new
+        best.append(min(costs))
     return np.array(tried)[np.argsort(costs, kind="stable")[:BEST]]
 
 

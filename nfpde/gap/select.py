@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
+from nfpde.gap.fit import Fit
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.search import search_near
-from nfpde.gap.trial import APART, GLANCED, LEAST_GAIN, LEVEL, MANY, POLISHED, Court, Trial, block_test
+from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, SOUGHT, Court, Trial, block_test
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -95,13 +95,7 @@ class Selection:
 
     def _polish(self, trial: Trial) -> Trial:
         """The accepted effects and the parameters fitted once more, to the end."""
-        fit = self.court.settle(trial.fit, iterations=6)
-        for turn in range(POLISHED if self.court.rugged else 0):  # slopes mislead: look about the values too
-            found = self.court.settle(search_near(self.court.fitter, fit, turn), iterations=6)
-            gain, fit = fit.cost - found.cost, found if found.cost < fit.cost else fit
-            if gain < LEAST_GAIN:
-                break
-        fit = self.court.fitter.linearise(fit)
+        fit = self.court.fitter.linearise(self.court.converged(trial.fit))
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
@@ -128,6 +122,7 @@ class Selection:
         effects = [e for i, e in enumerate(replay.effects) if i != index]
         keep = np.delete(np.arange(replay.nfree), replay.columns(index))
         smaller = self._replay(effects)
+        smaller.near[:] = replay.near[keep]
         fit = self.court.fitter.start(smaller, trial.fit.xi[keep][None], trial.fit.scatter)
         settled = self.court.settle(fit)
         self._count(smaller)
@@ -141,19 +136,31 @@ class Selection:
 
         def replay_with(effect: Effect) -> Replay:
             replays.append(self._replay([*current.fit.replay.effects, effect]))
+            replays[-1].near[: len(base.xi)] = base.replay.near
             return replays[-1]
 
-        if len(open_ones) > MANY:
-            glanced = screen(*self.court.screening(base, GLANCED), open_ones, replay_with, self.court.quiet)[:MANY]
-            kept = {key(s.effect) for s in glanced}
-            kept |= {key(e) for e, _ in open_ones if e.whole == "contact"}  # screening sees but part of what they do
-            open_ones = [(e, values) for e, values in open_ones if key(e) in kept]
-        screened = screen(*self.court.screening(base), open_ones, replay_with, self.court.quiet)
+        if self.court.rugged:  # what counts there is what a candidate gains, and that takes fewer windows than slopes
+            screened = self._screen(base, open_ones, replay_with, SOUGHT)
+        else:
+            if len(open_ones) > MANY:
+                glanced = self._screen(base, open_ones, replay_with, GLANCED)[:MANY]
+                open_ones = [(s.effect, s.values) for s in glanced]
+            screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = refit(self.court, base, screened)
         for replay in replays:
             self._count(replay)
         return trials
+
+    def _screen(
+        self,
+        base: Fit,
+        candidates: Sequence[tuple[Effect, Array]],
+        replay_with: Callable[[Effect], Replay],
+        count: int,
+    ) -> list[Screened]:
+        court = self.court
+        return screen(*court.screening(base, count), candidates, replay_with, court.quiet, rugged=court.rugged)
 
     def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
         """Effects that were refitted before, beside another base, from where they were."""
@@ -162,8 +169,12 @@ class Selection:
         for t in trials:
             if t.effect is not None:
                 replay = self._replay([*base.replay.effects, t.effect])
+                replay.near[: len(base.xi)] = base.replay.near
+                replay.near[len(base.xi) :] = t.fit.replay.near[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
                 values = t.fit.xi[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
-                hopeful.append(Screened(t.effect, replay, (1.0,), 1.0, ((base.scatter, values[None]),), np.zeros(0)))
+                hopeful.append(
+                    Screened(t.effect, replay, values[None], (1.0,), 1.0, ((base.scatter, values[None]),), np.zeros(0))
+                )
         found = refit(self.court, base, hopeful)
         for s in hopeful:
             self._count(s.replay)

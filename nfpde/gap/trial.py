@@ -14,7 +14,8 @@ from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
 from nfpde.gap.levels import CAPPED
 from nfpde.gap.noise import Scatter, learn_scatter
-from nfpde.gap.search import search_near
+from nfpde.gap.reach import reaches
+from nfpde.gap.search import search_about
 
 Array = NDArray[np.float64]
 
@@ -32,8 +33,14 @@ candidates that much comes by chance, and more is needed where no fit saw the da
 POLISHED = 4
 """Turns of a fit to the end at most."""
 
+TURNS, EVOLVED = 2, 24
+"""Times that samples start anew about a fit, and generations of each: see `Court.evolved`."""
+
 SCREENED = 60
 """Windows that candidates are screened on."""
+
+SOUGHT = 30
+"""Windows on which candidates are screened and sought where contacts make slopes mislead."""
 
 GLANCED, MANY = 20, 24
 """Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
@@ -103,7 +110,9 @@ class Court:
         return self.fitter.rescale(fit, self.scatter(fit))
 
     def converged(self, fit: Fit, kept: int = 0) -> Fit:
-        """The same until a turn gains no more than chance."""
+        """Fitted to the end: until a turn gains no more than chance."""
+        if self.rugged:
+            return self.evolved(fit)
         for _ in range(POLISHED):
             found = self.settle(fit, iterations=6, kept=kept)
             gain, fit = fit.cost - found.cost, found
@@ -111,20 +120,27 @@ class Court:
                 break
         return fit
 
-    def gathered(self, fit: Fit, turns: int, width: float) -> Fit:
-        """Samples that gather about a fit, ever closer, until nothing is gained: for where slopes mislead.
+    def evolved(self, fit: Fit, turns: int = TURNS) -> Fit:
+        """Samples that evolve about a fit until nothing is gained, then slopes: for where slopes alone mislead.
 
         Args:
             fit: The fit.
-            turns: How often at most.
-            width: Of the first samples, in the chart's units.
+            turns: How often samples start anew about the best at most, as far out as residuals change noticeably.
         """
-        for turn in range(turns):
-            found = search_near(self.fitter, fit, turn, width / (1 + turn))
+        for turn in range(turns if fit.replay.nfree else 0):
+            widths = reaches(self.screening(fit, GLANCED)[0], fit.replay, fit.xi, self.floor)
+            places = search_about(self.screening(fit)[0], fit, widths, turn, EVOLVED)
+            found = self.best(fit, places)
             gain, fit = spread(fit.residuals, self.floor) - spread(found.residuals, self.floor), found
             if gain < LEAST_GAIN:
                 break
         return self.settle(self.fitter.rescale(fit, self.scatter(fit)))
+
+    def best(self, fit: Fit, places: Array) -> Fit:
+        """The best of a fit's place and others (B, D) by what they leave over."""
+        places = np.vstack([fit.xi, places])
+        costs = [spread(r, self.floor) for r in self.fitter.residuals_at(fit.replay, places)]
+        return self.fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
 
     def scatter(self, fit: Fit) -> Scatter:
         """The scatter of what a fit leaves over."""
