@@ -60,12 +60,11 @@ def matched(
         floor: Smallest residual believed (nv, C).
 
     Returns:
-        Values, those that became the same as others left out; as they were for effects that are neutral at infinity.
+        Values, those that became the same as others left out; as they were where the bounds hold no neutral values.
     """
     decisive = np.array([not q.shape_only for q in effect.quantities])
     neutral = np.array([q.neutral for q in effect.quantities])
-    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
-    if not (np.isfinite(neutral) & (low <= neutral) & (neutral <= high))[decisive].all():
+    if not reachable(effect):
         return values
     values, open_ones = values.copy(), np.arange(len(values))
     for _ in range(_TURNS):
@@ -86,12 +85,18 @@ def matched(
     return values[kept]
 
 
+def reachable(effect: Effect) -> bool:
+    """Whether an effect's bounds contain its neutral values: a limit does nothing beyond all that is ever asked for."""
+    decisive = [(q, p) for q, p in zip(effect.quantities, effect.parameters, strict=True) if not q.shape_only]
+    return all(p.low <= q.neutral <= p.high for q, p in decisive)
+
+
 def near_neutral(effect: Effect, values: Array) -> Array:
     """Distances from neutral (P,) over which an effect's parameters count linearly; NaN where that is not known."""
     neutral = np.array([q.neutral for q in effect.quantities])
     away = np.abs(values - neutral).max(0)
     decisive = np.array([not q.shape_only for q in effect.quantities])
-    return np.where(decisive & np.isfinite(away) & (away > 0), away, np.nan)
+    return np.where(decisive & (away > 0) & reachable(effect), away, np.nan)
 
 
 def reaches(fitter: Fitter, replay: Replay, xi: Array, floor: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.gather import spread
 from nfpde.gap.noise import Scatter
-from nfpde.gap.reach import reaches
+from nfpde.gap.reach import reachable, reaches
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import SHARE, Screened
 from nfpde.gap.search import all_over, search, search_about
@@ -125,8 +125,7 @@ class Refitting:
         straight = np.concatenate([court.nominal, base.xi[len(court.nominal) :]])
         starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in (base.xi, straight)]
         guesses = np.concatenate(starts)
-        threshold = not all(np.isfinite(q.neutral) for q in screened.effect.quantities)
-        if threshold or not court.rugged:
+        if not court.rugged or not reachable(screened.effect):
             # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
             guesses = np.concatenate([guesses, all_over(replay, index, base.xi, LOOKS * values.shape[1])])
         if court.rugged:
