@@ -1,0 +1,167 @@
+"""How far parameters go before they matter, and coordinates in which effects are straight."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.effects import effect
+from nfpde.gap.fit import Fitter
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.reach import change, matched, near_neutral, reachable, reaches
+from nfpde.gap.replay import Replay
+from nfpde.gap.search import PATIENCE, search_about
+from nfpde.parameters import Parameter, ParameterSpace
+
+ANYTHING: Any = None
+FITTER = Fitter(ANYTHING, (1, 2))
+NO_FLOOR = np.zeros((2, 4))
+
+ARM = """
+<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 .1" size=".02" mass="1"/></body></worldbody></mujoco>
+"""
+
+
+class Line(Replay):
+    """A replay whose residuals are `start` and `slopes` times its parameters; counts what is asked of it."""
+
+    def __init__(self, start, slopes, low, high):
+        self.start, self.slopes, self.low, self.high = start, np.array(slopes), np.array(low), np.array(high)
+        self.near, self.asked = np.full(len(self.low), np.nan), 0
+
+    def residuals(self, xi, windows, horizons, force=None):
+        self.asked += len(xi)
+        return self.start + np.einsum("md,dnvc->mnvc", xi, self.slopes)
+
+
+@pytest.fixture
+def own():
+    """Residuals of 50 windows."""
+    return np.random.default_rng(0).normal(size=(50, 2, 4))
+
+
+def test_change_is_counted_in_what_there_is(own):
+    """Residuals that grow by a share of themselves change by that share, in whatever units their channels are."""
+    units = np.array([1e-6, 1.0, 10.0, 1e3])
+    assert change(own * units * np.array([1.0, 1.3, 3.0])[:, None, None, None], own * units, NO_FLOOR) == pytest.approx(
+        [0.0, 0.3, 2.0]
+    )
+
+
+def test_values_are_brought_to_sizes_that_matter(own):
+    """What changes residuals ten thousandfold comes down between the limits, once; what is small stays as it is."""
+    forces = effect("external_force", "link", **{f"force_{a}": (-50.0, 50.0) for a in "xyz"})
+    slopes = [own[::-1] * s for s in (1e4, 1.0, 0.01)]
+    line = Line(own, slopes, [-50.0] * 3, [50.0] * 3)
+    values = np.vstack([20.0 * np.eye(3), 5.0 * np.eye(3)])
+    found = matched(FITTER, line, forces, np.zeros(0), values, own, NO_FLOOR)
+    sizes = change(own + np.einsum("md,dnvc->mnvc", found, np.array(slopes)), own, NO_FLOOR)
+    assert [tuple(np.flatnonzero(row)) for row in found] == [(0,), (1,), (2,), (2,)]
+    assert found[2:] == pytest.approx(values[[2, 5]])  # too weak to need it
+    assert sizes[:2] == pytest.approx(np.sqrt(0.2), rel=1e-6)
+    assert (sizes[2:] < 1).all()
+    assert near_neutral(forces, found) == pytest.approx(np.abs(found).max(0))
+
+
+def test_limits_have_no_size_to_be_matched(own):
+    """A limit does nothing when it is far away: it is neutral nowhere within its bounds, and stays as it is."""
+    limit = effect("torque_limit", "motor", limit=(0.1, 10.0))
+    line = Line(own, [1e4 * own], [0.1], [10.0])
+    values = np.array([[0.5], [5.0]])
+    assert not reachable(limit)
+    assert matched(FITTER, line, limit, np.zeros(0), values, own, NO_FLOOR) is values
+    assert np.isnan(near_neutral(limit, values)).all()
+
+
+def test_reach_of_parameters(own):
+    """Distances at which residuals change noticeably: the shorter the steeper slopes are, and never beyond the first."""
+    line = Line(own, [40 * own, 400 * own, 0.1 * own], [-1.0] * 3, [1.0] * 3)
+    found = reaches(FITTER, line, np.zeros(3), 1e-9 * np.ones((2, 4)))
+    # a unit of the chart is a quarter of the bounds, half of 1 here
+    assert found == pytest.approx([np.sqrt(0.2) / 20, np.sqrt(0.2) / 200, 0.2], rel=1e-3)
+
+
+def test_samples_that_gain_nothing_are_given_up(own):
+    """Where nothing changes, samples stop as soon as patience is over."""
+    line = Line(own, [0.0 * own], [0.0], [1.0])
+    fit = FITTER.start(line, np.array([[0.5]]), learn_scatter(own, 0, 1e-3 * np.ones((2, 4))))
+    line.asked = 0
+    search_about(FITTER, fit, 0.1, generations=40)
+    assert line.asked == 1 + 8 * PATIENCE
+
+
+def test_parameters_give_back_what_they_stood_in_for():
+    """The guess nearest to the truth is worse than none until the base's parameter returns; it is chosen all the same.
+
+    Effect and parameter do the same but for a tenth: with the effect missing, the parameter is bent by all of it.
+    """
+    rng = np.random.default_rng(3)
+    common, apart = rng.normal(size=(2, 80, 2, 4))
+    slopes, truth = np.array([common, common + 0.1 * apart]), np.array([0.3, 0.2])
+    target = -np.einsum("d,dnvc->nvc", truth, slopes) + 1e-4 * rng.normal(size=common.shape)
+    base = Line(target, slopes[:1], [0.0], [1.0])
+    both = Line(target, slopes, [0.0, 0.0], [1.0, 1.0])
+    scatter = learn_scatter(0.01 * rng.normal(size=(400, 2, 4)), 0, 1e-5 * np.ones((2, 4)))
+    fit = FITTER.linearise(FITTER.improve(FITTER.start(base, np.array([[0.4]]), scatter), 10))
+    assert fit.xi[0] == pytest.approx(0.5, abs=0.02)
+    guesses = np.array([[fit.xi[0], v] for v in (0.0, 0.2, 0.4)])
+    plain = FITTER.best(both, guesses, scatter, 1)
+    assert plain[0, 1] == 0.0
+    reacted = FITTER.best(both, guesses, scatter, 1, fit)
+    assert reacted[0] == pytest.approx(truth, abs=0.01)
+    assert reacted[1:] == pytest.approx(plain)
+
+
+PLACES = {f"position_{a}": (-0.4, 0.6) for a in "xyz"}
+
+
+@pytest.fixture
+def loaded():
+    """A link with a free mass and a load somewhere."""
+    space = ParameterSpace([Parameter("body_mass", "link", 0.5, 2.0)])
+    return Replay(mujoco.MjModel.from_xml_string(ARM), space, [effect("payload", "link", mass=(0, 3), **PLACES)])
+
+
+def test_coordinates_of_a_load_lead_back(loaded):
+    """Shares of the bounds and back, at bounds and inside; a load of no mass is in the middle."""
+    xi = np.array([[0.5, 3.0, -0.4, 0.6, 0.1], [2.0, 1e-6, 0.2, 0.1, -0.3], [1.0, 0.7, 0.5, -0.1, 0.0]])
+    u = loaded.inward(xi)
+    assert ((u >= 0) & (u <= 1)).all()
+    assert loaded.outward(u) == pytest.approx(xi, rel=1e-9, abs=1e-9)
+    assert loaded.outward(loaded.inward(np.array([1.0, 0.0, 0.5, 0.5, 0.5]))) == pytest.approx([1, 0, 0.1, 0.1, 0.1])
+
+
+def test_a_moment_beyond_reach_is_brought_to_the_bound(loaded):
+    """A light load cannot have a large first moment: its place is the bound, every other value stays."""
+    u = loaded.inward(np.array([1.0, 0.01, 0.1, 0.1, 0.1]))
+    assert loaded.outward(u + np.array([0, 0, 0.2, 0, 0])) == pytest.approx([1.0, 0.01, 0.6, 0.1, 0.1])
+
+
+def test_slopes_of_a_loads_coordinates(loaded):
+    """Position is the moment over the mass: the derivatives are those of a quotient."""
+    mass, arm = 0.7, np.array([0.4, -0.2, -0.1])
+    slopes = loaded.outward_slopes(np.array([1.0, mass, *(0.1 + arm)]))
+    expected = np.zeros((5, 5))
+    expected[0, 0], expected[1, 1] = 1.5, 3.0
+    expected[2:, 1] = -3.0 * arm / mass
+    expected[2:, 2:] = np.eye(3) * 2 * 3.0 * 0.5 / mass
+    assert slopes == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_loads_together_have_their_mass_and_centre():
+    """One load in place of two and a half: mass and centre of mass of the link are those with all of them."""
+    load = effect("payload", "link", mass=(0, 3), **PLACES)
+    values, shares = np.array([[0.2, 0.5, 0.0, 0.1], [0.3, -0.1, 0.4, 0.2]]), np.array([1.0, 0.5])
+
+    def carrying(*loads):
+        model = mujoco.MjModel.from_xml_string(ARM)
+        for values in loads:
+            load.bind(model).write_model(model, np.array(values))
+        return model.body_mass[1], model.body_ipos[1]
+
+    mass, centre = carrying(load.together(values, shares))
+    expected_mass, expected_centre = carrying(values[0], [0.15, *values[1, 1:]])
+    assert mass == pytest.approx(expected_mass)
+    assert centre == pytest.approx(expected_centre)
