@@ -76,7 +76,7 @@ def test_limits_have_no_size_to_be_matched(own):
 
 
 def test_reach_of_parameters(own):
-    """Distances at which residuals change noticeably: the shorter the steeper slopes are, and never beyond the first."""
+    """Distances at which residuals change noticeably: the steeper slopes the shorter, and never beyond the first."""
     line = Line(own, [40 * own, 400 * own, 0.1 * own], [-1.0] * 3, [1.0] * 3)
     found = reaches(FITTER, line, np.zeros(3), 1e-9 * np.ones((2, 4)))
     # a unit of the chart is a quarter of the bounds, half of 1 here
