@@ -1,8 +1,12 @@
 """The benchmark from end to end, with a diagnosis that is made up."""
 
 import json
+import os
 import pathlib
+import signal
+import subprocess
 import sys
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -139,3 +143,49 @@ def test_the_command_draws_systems_to_develop_on(quick, tmp_path):
     assert result.exit_code == 0, result.output
     assert (tmp_path / "systems" / "31-0000" / "model.xml").is_file()
     assert (tmp_path / "keys" / "31-0000.json").is_file()
+
+
+ORPHAN = """
+import multiprocessing, os, subprocess, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from nfpde.bench.gap.run import end_with_parent
+
+def task():
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    try:
+        print(os.getpid(), child.pid, flush=True)
+        child.wait()
+    except BaseException:
+        child.kill()
+        raise
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+        pool.submit(task).result()
+"""
+
+
+def _ended(pid):
+    """Whether a process is gone, or waits to be buried."""
+    try:
+        return pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="looks at processes the way Linux shows them")
+def test_workers_end_with_a_killed_run(tmp_path):
+    """Where a run is killed its worker stops, and so does the diagnosis that it waits for."""
+    script = tmp_path / "run.py"
+    script.write_text(ORPHAN)
+    run = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    assert run.stdout is not None
+    pids = [int(word) for word in run.stdout.readline().split()]
+    assert len(pids) == 2
+    assert not any(_ended(pid) for pid in pids)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    until = time.monotonic() + 30  # at once on an idle machine, and five seconds of grace
+    while not all(_ended(pid) for pid in pids) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert all(_ended(pid) for pid in pids)

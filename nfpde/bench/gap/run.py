@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
+import os
 import platform
+import signal
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
@@ -27,6 +31,9 @@ from nfpde.storage import finite, write_whole
 DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
 
 QUICK_CASES = 12
+
+_GRACE = 5.0
+"""Seconds that a worker has to stop a diagnosis."""
 
 DEVICES = ("auto", "cpu", "cuda", "warp-cpu")
 """Where a diagnosis may simulate."""
@@ -112,11 +119,29 @@ def _work(left: list[Case], total: int, jobs: int) -> None:
                 report(done)
             return
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        with ProcessPoolExecutor(jobs, mp_context=context, initializer=end_with_parent) as pool:
             for future in as_completed([pool.submit(run_case, case) for case in left]):
                 future.result()
                 done += 1
                 report(done)
+
+
+def end_with_parent() -> None:
+    """Have a worker stop what it does when the process that started it is gone, even if that was killed.
+
+    A diagnosis that went on would write its answer beside those of the run that goes on in its place.
+    """
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(_GRACE)
+            os._exit(1)
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _check(cases: int, jobs: int, limit: float) -> None:
