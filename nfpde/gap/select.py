@@ -183,7 +183,9 @@ class Selection:
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self._whole_gap(current)
-        worth = min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
+        worth = max(WORTH * gap, FLOOR_ERROR)
+        if not self.court.rugged:  # beside contacts the floor is not known well enough to ask what little lies above it
+            worth = min(WORTH * first_gap, worth)
         tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
         trials = [t for t in trials if gap - self._whole_gap(t) >= worth]
