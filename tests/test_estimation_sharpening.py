@@ -174,7 +174,7 @@ def plain_bandwidth(z):
     spread, (n, d) = z.std(0, ddof=1), z.shape
     squares = (((z[:, None] - z) / spread) ** 2).sum(2)
     np.fill_diagonal(squares, np.inf)
-    scores = [float(np.mean(logsumexp(-0.5 * squares / b**2, axis=1))) - d * np.log(b) for b in BANDWIDTHS]
+    scores = [float(np.asarray(logsumexp(-0.5 * squares / b**2, axis=1)).mean()) - d * np.log(b) for b in BANDWIDTHS]
     covariance = np.diag((BANDWIDTHS[int(np.argmax(scores))] * spread) ** 2)
     return Gaussians(np.full(n, 1 / n), z, np.tile(covariance, (n, 1, 1)))
 
