@@ -31,6 +31,8 @@ ANYTHING: Any = None
 class Line(Replay):
     """A replay whose residuals are linear in its parameters: A xi - b, for two degrees of freedom of four channels."""
 
+    effects = ()
+
     def __init__(self, matrix, target, low, high):
         self.matrix, self.target, self.low, self.high = matrix, target, np.array(low), np.array(high)
 
@@ -313,6 +315,22 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
         left = trial(None, np.zeros(40), size * noise)
         found = selection._accept(left, [trial(friction, rng.uniform(1, 2, 40), noise)], first_gap)
         assert (found is not None) is named
+
+
+@pytest.mark.parametrize(("size", "named"), [(1.03, False), (1.2, True)])
+def test_beside_contacts_the_floors_own_error_is_not_explained(size, named):
+    """What takes less of the gap than the floor may be off is named in smooth motion only; what takes more, always."""
+    rng = np.random.default_rng(11)
+    noise = rng.normal(size=(40, 2, 4))
+    noise /= np.sqrt((noise**2).mean())
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    left, gone = trial(None, np.zeros(40), size * noise), trial(friction, rng.uniform(1, 2, 40), noise)
+    for rugged in (True, False):
+        court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), rugged)
+        yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
+        selection = Selection(ANYTHING, None, 1, court, yardstick, [])
+        found = selection._accept(left, [gone], selection._gap(left))
+        assert (found is not None) is (named or not rugged)
 
 
 def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():

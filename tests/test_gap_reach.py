@@ -27,6 +27,8 @@ ARM = """
 class Line(Replay):
     """A replay whose residuals are `start` and `slopes` times its parameters; counts what is asked of it."""
 
+    effects = ()
+
     def __init__(self, start, slopes, low, high):
         self.start, self.slopes, self.low, self.high = start, np.array(slopes), np.array(low), np.array(high)
         self.near, self.asked = np.full(len(self.low), np.nan), 0

@@ -23,8 +23,8 @@ _TURNS = 4
 _NEAREST = 1e-3
 """Factor of one correction at least."""
 
-_MATCHED = (0.2, 1.0)
-"""Change, in sizes of the residuals, that is neither too small to be seen nor too large for a straight line."""
+_MOST, _AIM = 1.0, np.sqrt(0.2)
+"""Change, in sizes of the residuals, beyond which the way there is not straight, and what is aimed at instead."""
 
 _SAME = 0.3
 """Values as close as this share of their distance from neutral are one."""
@@ -70,12 +70,11 @@ def matched(
     for _ in range(_TURNS):
         there = fitter.residuals_at(replay, np.hstack([np.tile(base, (len(open_ones), 1)), values[open_ones]]))
         size = change(there, own, floor)
-        far = size > _MATCHED[1]
+        far = size > _MOST
         open_ones, size = open_ones[far], size[far]
         if not len(open_ones):
             break
-        factor = np.maximum(np.sqrt(_MATCHED[0] * _MATCHED[1]) / size, _NEAREST)[:, None]
-        closer = neutral + factor * (values[open_ones] - neutral)
+        closer = neutral + _shorter(size)[:, None] * (values[open_ones] - neutral)
         values[open_ones] = np.where(decisive, closer, values[open_ones])
     away = np.where(decisive, values - neutral, values)
     kept: list[int] = []
@@ -109,8 +108,13 @@ def reaches(fitter: Fitter, replay: Replay, xi: Array, floor: Array) -> Array:
     for _ in range(_TURNS):
         there = fitter.residuals_at(replay, chart.outward(at + np.diag(sign * found)))
         size = change(there, own, floor)
-        far = size > _MATCHED[1]
+        far = size > _MOST
         if not far.any():
             break
-        found[far] *= np.maximum(np.sqrt(_MATCHED[0] * _MATCHED[1]) / size[far], _NEAREST)
+        found[far] *= _shorter(size[far])
     return found
+
+
+def _shorter(size: Array) -> Array:
+    """Factors of distances that changed residuals by too much."""
+    return np.maximum(_AIM / size, _NEAREST)

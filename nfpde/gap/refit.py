@@ -84,8 +84,7 @@ class Refitting:
         self._court, self._base = court, base
         self._few, self._few_part = court.screening(base, GLANCED)
         self._some, self._part = court.screening(base)
-        if court.rugged:
-            self._beside = reaches(self._few, base.replay, base.xi, court.floor)
+        self._beside = reaches(self._few, base.replay, base.xi, court.floor) if court.rugged else np.zeros(0)
         self._gap = self._least = spread(self._part.residuals, court.floor)
 
     def rough(self, screened: Screened) -> list[Fit]:

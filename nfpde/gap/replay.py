@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 _MEMORY = 1 << 24
 """Numbers of predicted states held at once."""
 
+_NUDGE = 1e-6
+"""Share of the bounds over which coordinates are differenced."""
+
 
 def residual_force(model: mujoco.MjModel) -> Effect:
     """A constant generalized force on every degree of freedom, for the sake of comparison; no effect of the library."""
@@ -43,10 +46,6 @@ def residual_force(model: mujoco.MjModel) -> Effect:
     return type("ResidualForceEffect", (Effect,), members)()
 
 
-_NUDGE = 1e-6
-"""Share of the bounds over which coordinates are differenced."""
-
-
 class Replay:
     """A model with free base parameters and effects, ready to replay windows.
 
@@ -57,8 +56,6 @@ class Replay:
         near: distances from neutral that matter, by which searches of the effects' parameters are scaled (D,); NaN
             where none is known.
     """
-
-    effects: tuple[Effect, ...] = ()
 
     def __init__(
         self,

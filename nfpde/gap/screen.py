@@ -175,7 +175,7 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     reachable = bool(((neutral >= low) & (neutral <= high)).all())  # some are neutral at infinity only
     if reachable:  # the change is not linear in the size: a few sizes about the best one
         guesses += [neutral + f * scale[best] * (values[best] - neutral) for f in _SIZES]
-    explained, change, both = float(single[best]), changes[best], list[Array]()
+    explained, change, mixed = float(single[best]), changes[best], list[Array]()
     if len(values) > 1 and explained > 0:
         gram = changes @ changes.T
         ridge = 1e-9 * max(float(np.trace(gram)), 1e-300)
@@ -186,11 +186,11 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
         if together > explained:
             explained, change = together, mix @ changes
             if reachable:
-                both = [effect.together(values, mix)]
+                mixed = [effect.together(values, mix)]
     shape = [i for i, q in enumerate(effect.quantities) if q.shape_only]
     kept = np.array(guesses)
     kept[:, shape] = values[best, shape]
-    kept = np.vstack([kept, *both])
+    kept = np.vstack([kept, *mixed])
     length = float(np.linalg.norm(change))
     kept = np.clip(kept, low, high)
     return _Judged(max(explained, gain), kept, change / length if length else change)

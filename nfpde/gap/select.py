@@ -121,8 +121,7 @@ class Selection:
         replay = trial.fit.replay
         effects = [e for i, e in enumerate(replay.effects) if i != index]
         keep = np.delete(np.arange(replay.nfree), replay.columns(index))
-        smaller = self._replay(effects)
-        smaller.near[:] = replay.near[keep]
+        smaller = self._replay(effects, replay.near[keep])
         fit = self.court.fitter.start(smaller, trial.fit.xi[keep][None], trial.fit.scatter)
         settled = self.court.settle(fit)
         self._count(smaller)
@@ -135,8 +134,7 @@ class Selection:
         replays = []
 
         def replay_with(effect: Effect) -> Replay:
-            replays.append(self._replay([*current.fit.replay.effects, effect]))
-            replays[-1].near[: len(base.xi)] = base.replay.near
+            replays.append(self._replay([*base.replay.effects, effect], base.replay.near))
             return replays[-1]
 
         if self.court.rugged:  # what counts there is what a candidate gains, and that takes fewer windows than slopes
@@ -168,13 +166,11 @@ class Selection:
         hopeful = []
         for t in trials:
             if t.effect is not None:
-                replay = self._replay([*base.replay.effects, t.effect])
-                replay.near[: len(base.xi)] = base.replay.near
-                replay.near[len(base.xi) :] = t.fit.replay.near[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
-                values = t.fit.xi[t.fit.replay.columns(len(t.fit.replay.effects) - 1)]
-                hopeful.append(
-                    Screened(t.effect, replay, values[None], (1.0,), 1.0, ((base.scatter, values[None]),), np.zeros(0))
-                )
+                columns = t.fit.replay.columns(len(t.fit.replay.effects) - 1)
+                near = np.concatenate([base.replay.near, t.fit.replay.near[columns]])
+                replay, values = self._replay([*base.replay.effects, t.effect], near), t.fit.xi[columns][None]
+                starts = ((base.scatter, values),)
+                hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts, np.zeros(0)))
         found = refit(self.court, base, hopeful)
         for s in hopeful:
             self._count(s.replay)
@@ -232,8 +228,11 @@ class Selection:
             current = replaced
         return current, accepted
 
-    def _replay(self, effects: Sequence[Effect]) -> Replay:
-        return Replay(self.model, self.space, effects, self.nthread, self.device)
+    def _replay(self, effects: Sequence[Effect], near: Array) -> Replay:
+        """The model with effects; what is known of the distances that matter to the first parameters (d,) is kept."""
+        replay = Replay(self.model, self.space, effects, self.nthread, self.device)
+        replay.near[: len(near)] = near
+        return replay
 
     def _count(self, replay: Replay) -> None:
         self.steps += replay.sim.simulated_steps
