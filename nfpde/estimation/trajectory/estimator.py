@@ -14,6 +14,7 @@ from torch import Tensor
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import SimulationDiverged
 from nfpde.estimation.config import TrajectoryConfig
+from nfpde.estimation.trajectory.borrowing import anything_new, borrowed_from, standing_out
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
@@ -25,7 +26,7 @@ from nfpde.estimation.trajectory.starts import start_slopes
 Array = NDArray[np.float64]
 
 BORROWING_ROUNDS = (1, 2, 3)
-"""Rounds that also start from where other robots ended: a robot stuck in a local minimum gets out of it there."""
+"""Rounds that also start from where other robots ended, at most: see `TrajectoryEstimator._borrow`."""
 
 STILL = 0.3
 """Standard deviations of its posterior that a robot's parameters move in the last round, at most."""
@@ -73,6 +74,7 @@ class TrajectoryEstimator:
         self.linear: Linear | None = None
         self.slopes: Array | None = None
         self.places: Array | None = None
+        self.borrowing_pays = True
 
     @property
     def title(self) -> str:
@@ -94,12 +96,14 @@ class TrajectoryEstimator:
         started = time.perf_counter()
         if self.candidates is None:
             self._first()
-        elif self.iteration in BORROWING_ROUNDS and self.robots > 1:
-            self._borrow()
         c = self.candidates
         if c is None:  # pragma: unreachable, _first made them
             raise RuntimeError("no candidates")
         improve(self.problem, c, self.noise, self.config.steps)
+        if self.iteration in BORROWING_ROUNDS and self.robots > 1:
+            c = self._borrow(c)
+        # slopes to both sides are for those that are left
+        c = distinct(c)
         linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         c = self.candidates = distinct(c)
         before, best = self.noise.log_scale, self._best()
@@ -149,18 +153,25 @@ class TrajectoryEstimator:
         reweigh(c, self.noise)
         self.candidates = c
 
-    def _borrow(self) -> None:
-        """Let every robot also try the best place of two others."""
-        c = self.candidates
-        if c is None:
-            return
-        best = self._best()
-        shifts = (1 + (self.iteration - 1) * 2 + np.arange(2)) % self.robots
-        shifts = np.unique(shifts[shifts > 0])
-        robot = np.repeat(np.arange(self.robots), len(shifts))
-        other = (robot + np.tile(shifts, self.robots)) % self.robots
-        tried = start(self.problem, c.z[best[other]], robot, self.noise)
-        self.candidates = _join(c, tried)
+    def _borrow(self, c: Candidates) -> Candidates:
+        """Let robots also try the best place of two others: all of them, as long as that finds anything new.
+
+        Then only those that are explained worse than the others: no place explains the rest better.
+        """
+        best = c.best(self.robots)
+        takers = np.arange(self.robots)
+        if not self.borrowing_pays:
+            white = [self.noise.whiten(g, c.residuals[k][None])[0] for g, k in enumerate(best)]
+            sound = [np.isfinite(c.residuals[k]).all(1) for k in best]
+            costs = [np.where(s, self.noise.whitening.cost(w), np.nan) for s, w in zip(sound, white, strict=True)]
+            takers = standing_out(costs, c.z.shape[1])
+        robot, other = borrowed_from(self.robots, takers, self.iteration)
+        if not len(robot):
+            return c
+        joined = c.joined(start(self.problem, c.z[best[other]], robot, self.noise))
+        improve(self.problem, joined, self.noise, self.config.steps)
+        self.borrowing_pays = anything_new(joined, len(c.robot))
+        return joined
 
     def _learn_noise(self) -> None:
         c = self.candidates
@@ -194,11 +205,9 @@ class TrajectoryEstimator:
 
     def _best(self) -> NDArray[np.intp]:
         """Index of every robot's best candidate, (G,)."""
-        c = self.candidates
-        if c is None:
+        if self.candidates is None:
             raise RuntimeError("call step first")
-        order = np.lexsort((c.cost, c.robot))
-        return order[np.searchsorted(c.robot[order], np.arange(self.robots))]
+        return self.candidates.best(self.robots)
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next round depends on, as tensors and JSON."""
@@ -210,12 +219,14 @@ class TrajectoryEstimator:
             saved |= {"robot": c.robot, "z": c.z, "damping": c.damping, "places": self.places}
         tensors, layout = flatten_state("trajectory", saved)
         info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
+        info["borrowing_pays"] = self.borrowing_pays
         return tensors, {**info, "trajectory": layout}
 
     def restore(self, tensors: dict[str, Tensor], info: dict[str, Any]) -> None:
         """Go on from a `state`; the candidates are simulated again."""
         saved = restore_state(info["trajectory"], tensors)
         self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
+        self.borrowing_pays = info["borrowing_pays"]
         scatter = Scatter(saved["sensor"], saved["process"], saved["degrees"], saved["scale"])
         self.noise = Noise.alike(scatter, self.problem.members)
         if "best" in saved:
@@ -225,16 +236,3 @@ class TrajectoryEstimator:
             c.damping = saved["damping"]
             linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
             self.candidates, self.places = c, saved["places"]
-
-
-def _join(a: Candidates, b: Candidates) -> Candidates:
-    return Candidates(
-        np.concatenate([a.robot, b.robot]),
-        np.concatenate([a.z, b.z]),
-        np.concatenate([a.cost, b.cost]),
-        a.residuals + b.residuals,
-        np.concatenate([a.information, b.information]),
-        np.concatenate([a.data_information, b.data_information]),
-        np.concatenate([a.damping, b.damping]),
-        np.concatenate([a.done, b.done]),
-    )

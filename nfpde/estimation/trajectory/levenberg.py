@@ -26,6 +26,9 @@ RESOLVED = 0.3
 FARTHEST = 9.0
 """|z| of candidates: within 1e-4 of the box's width of a bound there is nothing left to find."""
 
+SAME = 1.0
+"""Two candidates closer than this share of a posterior standard deviation in every direction are one mode."""
+
 _DAMPINGS = np.array([0.1, 1.0, 10.0])
 
 
@@ -35,7 +38,7 @@ class Candidates:
 
     robot: which robot each explains                                       (K,)
     z: where they are                                                      (K, D)
-    cost: twice the negative log posterior, up to a constant               (K,)
+    cost: twice the negative log posterior, up to a constant; inf: given up, as another one is there    (K,)
     residuals: of their robot's windows, not white                         K arrays (n, C)
     information: Gauss-Newton matrix of cost / 2, prior included           (K, D, D)
     data_information: the same without the prior                           (K, D, D)
@@ -61,6 +64,24 @@ class Candidates:
             self.data_information[index],
             self.damping[index],
             self.done[index],
+        )
+
+    def best(self, robots: int) -> Index:
+        """Index of the best candidate of each of `robots` robots, (G,)."""
+        order = np.lexsort((self.cost, self.robot))
+        return order[np.searchsorted(self.robot[order], np.arange(robots))]
+
+    def joined(self, others: Candidates) -> Candidates:
+        """These candidates, then others."""
+        return Candidates(
+            np.concatenate([self.robot, others.robot]),
+            np.concatenate([self.z, others.z]),
+            np.concatenate([self.cost, others.cost]),
+            self.residuals + others.residuals,
+            np.concatenate([self.information, others.information]),
+            np.concatenate([self.data_information, others.data_information]),
+            np.concatenate([self.damping, others.damping]),
+            np.concatenate([self.done, others.done]),
         )
 
 
@@ -98,10 +119,11 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
 
     One step is two calls of the simulator for everybody: D perturbed vectors for the Jacobian, then three dampings.
     A candidate has converged when its step promises to gain less than 1e-3 in cost, far below what any statistic
-    can see.
+    can see. One that comes where a better one has converged goes no farther: its cost becomes inf.
     """
     d = len(problem.simulator.space)
     for _ in range(iterations):
+        _give_up_doubles(c)
         active = np.flatnonzero(~c.done)
         if not len(active):
             return
@@ -130,6 +152,20 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
             else:
                 c.damping[k] *= 10.0
                 c.done[k] = promise[i] < 1e-3 or c.damping[k] > 1e8
+
+
+def apart(c: Candidates, k: int, j: int) -> float:
+    """Distance of candidate k from j, in standard deviations of j's posterior."""
+    step = c.z[k] - c.z[j]
+    return float(np.sqrt(step @ c.information[j] @ step))
+
+
+def _give_up_doubles(c: Candidates) -> None:
+    converged = c.done & np.isfinite(c.cost)
+    for k in np.flatnonzero(~c.done):
+        better = np.flatnonzero(converged & (c.robot == c.robot[k]) & (c.cost <= c.cost[k]))
+        if any(apart(c, int(k), int(j)) <= SAME for j in better):
+            c.cost[k], c.done[k] = np.inf, True
 
 
 def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, careful: bool = False) -> Array:

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.estimation.trajectory.levenberg import Candidates
+from nfpde.estimation.trajectory.levenberg import SAME, Candidates, apart
 
 Array = NDArray[np.float64]
 
 HOPELESS = 30.0
 """Cost above a robot's best from which a mode has no weight left (exp(-15))."""
-
-SAME = 1.0
-"""Two candidates closer than this share of a posterior standard deviation in every direction are one mode."""
 
 
 def distinct(c: Candidates) -> Candidates:
@@ -26,16 +23,11 @@ def distinct(c: Candidates) -> Candidates:
         own = own[np.argsort(c.cost[own], kind="stable")]
         chosen: list[int] = []
         for k in own:
-            far = all(_distance(c, k, j) > SAME for j in chosen)
+            far = all(apart(c, int(k), j) > SAME for j in chosen)
             if not chosen or (far and c.cost[k] - c.cost[own[0]] < HOPELESS):
                 chosen.append(int(k))
         keep += chosen
     return c.take(np.array(keep))
-
-
-def _distance(c: Candidates, k: int, j: int) -> float:
-    step = c.z[k] - c.z[j]
-    return float(np.sqrt(step @ c.information[j] @ step))
 
 
 @dataclass(frozen=True, eq=False)
