@@ -7,8 +7,7 @@ import nfpde
 from nfpde.estimation.trajectory import TrajectoryEstimator, make_problem
 from nfpde.estimation.trajectory import estimator as module
 from nfpde.estimation.trajectory.borrowing import CHANCE, anything_new, borrowed_from, standing_out
-from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, start
-from nfpde.estimation.trajectory.noise import Noise, Scatter
+from nfpde.estimation.trajectory.levenberg import Candidates, restart, start
 
 DT = 0.1
 SPACE = nfpde.ParameterSpace([nfpde.Parameter("shape", low=-10.0, high=10.0)])
@@ -153,31 +152,3 @@ def test_new_is_what_is_elsewhere_and_has_weight():
     assert not anything_new(places([0.0, 5.0], [1.0, 100.0]), 1)
     assert anything_new(places([0.0, 5.0], [1.0, 2.0]), 1)
     assert anything_new(places([0.0, 5.0], [100.0, 1.0]), 1)
-
-
-def test_a_double_is_not_polished():
-    """A candidate within a standard deviation of one that has converged costs nothing more; farther away it goes on."""
-    fitted = estimator(robots=1)
-    fitted.step()
-    problem, found = fitted.problem, fitted.candidates
-    assert found is not None
-    noise = Noise.alike(Scatter(np.zeros(0), 1e-4 * np.eye(1)), problem.members)
-    z = np.repeat(found.z[found.best(1)], 2, axis=0)
-    c = start(problem, z, np.zeros(2, np.intp), noise)
-    improve(problem, c, noise, 20)
-    c = c.take(np.array([0, 0]))
-    linearise(problem, c, noise, np.arange(2))
-    width = 1 / np.sqrt(c.information[0, 0, 0])
-
-    def steps_of(apart):
-        c.z[1] = c.z[0] + apart * width
-        moved = start(problem, c.z, c.robot, noise)
-        c.cost, c.residuals, c.done = moved.cost, moved.residuals, np.array([True, False])
-        before = problem.simulator.simulated_steps
-        improve(problem, c, noise, 20)
-        return problem.simulator.simulated_steps - before
-
-    assert steps_of(0.5) == 0
-    assert c.cost[1] == np.inf
-    assert steps_of(5.0) > 0
-    assert abs(c.z[1, 0] - c.z[0, 0]) < width

@@ -29,6 +29,9 @@ FARTHEST = 9.0
 SAME = 1.0
 """Two candidates closer than this share of a posterior standard deviation in every direction are one mode."""
 
+UNSEEN = 1e-3
+"""Difference in cost that is far below what any statistic can see."""
+
 _DAMPINGS = np.array([0.1, 1.0, 10.0])
 
 
@@ -118,8 +121,9 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
     """Run up to `iterations` steps of Levenberg-Marquardt on all candidates that have not converged, in place.
 
     One step is two calls of the simulator for everybody: D perturbed vectors for the Jacobian, then three dampings.
-    A candidate has converged when its step promises to gain less than 1e-3 in cost, far below what any statistic
-    can see. One that comes where a better one has converged goes no farther: its cost becomes inf.
+    A candidate has converged when its step promises to gain less than `UNSEEN`, or when it has gained just what it
+    promised: the model is right there, and its minimum is reached. One that comes where a better one has converged
+    goes no farther: its cost becomes inf.
     """
     d = len(problem.simulator.space)
     for _ in range(iterations):
@@ -145,13 +149,14 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         promise = np.einsum("kd,kd->k", gradient, newton)
         for i, k in enumerate(active):
             if costs[i, best[i]] < c.cost[k]:
+                left = promise[i] - (c.cost[k] - costs[i, best[i]])
                 c.z[k], c.cost[k] = trials[i, best[i]], costs[i, best[i]]
                 c.residuals[k] = residuals[3 * i + best[i]]
                 c.damping[k] = max(damping[i, best[i]] * 0.5, 1e-10)
-                c.done[k] = promise[i] < 1e-3
+                c.done[k] = promise[i] < UNSEEN or abs(left) < UNSEEN
             else:
                 c.damping[k] *= 10.0
-                c.done[k] = promise[i] < 1e-3 or c.damping[k] > 1e8
+                c.done[k] = promise[i] < UNSEEN or c.damping[k] > 1e8
 
 
 def apart(c: Candidates, k: int, j: int) -> float:
