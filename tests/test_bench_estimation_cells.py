@@ -96,6 +96,21 @@ def test_a_population_too_wide_is_named():
     }
 
 
+def test_what_the_distance_cannot_tell_is_said():
+    """A failure beside fresh draws gives its scatter, what can be known of the population, and what is rated better."""
+    content = finished_cell(
+        yardsticks={"truth": [1.0, 1.1], "moments": [1.5, 1.7], "narrowed": {"0.9": 0.9, "0.7": 0.8}}
+    )
+    content["trajectory"]["population"] = {"to_episodes": {"physical": 1.0}, "to_population": {"physical": 2.0}}
+    content["trajectory"]["redrawn"] = [1.9, 2.1]
+    text = failed(content)["fresh"]
+    assert "over 2 other draws it is at 2 (standard deviation 0.1)" in text
+    assert "true mean and standard deviations is at 1.6" in text
+    assert "narrowed to 0.7 of its own is at 0.8" in text
+    content["yardsticks"]["narrowed"] = {"0.9": 1.2}
+    assert "no judge" not in failed(content)["fresh"]
+
+
 def test_a_local_minimum_is_told_from_ignorance():
     """A fit that explains its recording worse than the truth does sits in a local minimum."""
     content = finished_cell(cell={"robot": "hopper", "target": "mixture", "noise": 0.01, "seed": 0})

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from nfpde.bench.estimation.bound import information_bound, unmoved
+from nfpde.bench.estimation.draws import redrawn, yardsticks
 from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.estimation.stages import code_of, results
 from nfpde.bench.estimation.temperature import FACTORS, chosen, oracle, score
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 Stage = Callable[[str, Callable[[], Any], Any], Any]
 """Name, computation and settings of a part of the work; gives what it computed, now or in an earlier call."""
 
-SOFTMAX, TRAJECTORY = "softmax, ", "trajectory"
+SOFTMAX, TRAJECTORY, YARDSTICKS = "softmax, ", "trajectory", "yardsticks"
 STUCK = "without sliding"
 OWN = f"{SOFTMAX}own beta"
 
@@ -96,6 +97,7 @@ def measure(cell: Cell, settings: Settings, stage: Stage, device: Device = "cpu"
         stage(f"{SOFTMAX}{factor:g} x beta", lambda beta=beta: work.softmax(beta), by_softmax | {"beta": beta})
     stage(TRAJECTORY, work.trajectory, measured | asdict(settings.trajectory))
     stage("bound", work.bound, data)
+    stage(YARDSTICKS, lambda: yardsticks(work.recorded[1], settings.samples), measured)
     if cell.noise == 0 and work.friction is not None:
         stage(STUCK, work.stuck, data | asdict(settings.trajectory))
     stage("rate", work.rate, data)
@@ -117,6 +119,7 @@ def assemble(content: dict[str, Any]) -> dict[str, Any]:
         "softmax": {"fits": fits, "chosen": fits.index(chosen(fits)), "oracle": fits.index(oracle(fits))},
         "trajectory": found[TRAJECTORY],
         "bound": found["bound"],
+        YARDSTICKS: found.get(YARDSTICKS),
         STUCK: found.get(STUCK),
         "steps_per_core_second": found["rate"],
         "code": {"softmax": code_of(content["stages"][OWN]), "trajectory": code_of(content["stages"][TRAJECTORY])},
@@ -172,6 +175,7 @@ class _Work:
             "effective": last["effective"],
             "score": score(self.simulator, self.measured[0], result.distribution, self.cell.seed),
             **_distances(found, "estimate"),
+            "redrawn": redrawn(result.distribution, self.recorded[1], self.settings.samples),
             **counts,
             "before": {name: _distances(found, name) for name in ("initial", "uniform", "population")},
         }
@@ -183,6 +187,7 @@ class _Work:
         elsewhere = ("config", "space", "simulator", "dataset", "robots", "versions")
         return {
             **{name: _distances(self._evaluate(d), "estimate") for name, d in answers.items()},
+            "redrawn": redrawn(result.distribution, self.recorded[1], self.settings.samples),
             **counts,
             "rounds": len(result.history),
             "history": result.history,

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.bench.estimation.draws import in_words
+
 Array = NDArray[np.float64]
 
 RATIO = {"hopper": 0.05, "walker2d": 0.15, "half_cheetah": 0.05, "humanoid": 0.05}
@@ -111,6 +113,9 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
     population = trajectory["info"].get("population")
     if population is not None:
         floor.append(f"the population is {population['chosen']}")
+    # cells of older code have not drawn again
+    chosen = cell["softmax"]["fits"][cell["softmax"]["chosen"]]
+    floor += in_words(cell.get("yardsticks"), trajectory.get("redrawn", []), chosen.get("redrawn", []))
     verdicts.append(_verdict("fresh", far["trajectory"] <= far["softmax"], text, floor))
     if robot in PAPER_SECONDS:
         mine, paper = seconds(cell, trajectory), PAPER_SECONDS[robot]
