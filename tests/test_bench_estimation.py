@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.stats import binom, norm
 
-from nfpde.bench.estimation import bound, ranks, sensing, stages, temperature
+from nfpde.bench.estimation import bending, bound, ranks, sensing, stages, temperature
 from nfpde.benchmarks import collect, record, robot
 from nfpde.errors import BadInput
 from nfpde.estimation import fit
@@ -98,6 +98,9 @@ def test_information_is_generalised_least_squares(joint):
     design = j.reshape(-1, parameters)
     expected = design.T @ np.linalg.solve(covariance, design)
     np.testing.assert_allclose(bound.information(j, f, sigma, joint=joint), expected, rtol=1e-9)
+    process = np.diag([0.5, 0.0, 2.0])
+    expected = design.T @ np.linalg.solve(covariance + np.kron(np.eye(steps), process), design)
+    np.testing.assert_allclose(bound.information(j, f, sigma, joint=joint, process=process), expected, rtol=1e-9)
 
 
 def test_derivatives_of_the_motion(swings, pendulum):
@@ -146,6 +149,35 @@ def test_bounds_of_a_pendulum(swings, pendulum):
     none = bound.information_bound(pendulum, data, truth, np.zeros(2))
     assert none.one_step is None
     np.testing.assert_array_equal(none.sensitivity, small.sensitivity)
+
+
+def test_a_smooth_motion_is_linear_within_small_noise(swings, pendulum):
+    """Without contacts a linear prediction errs by the square of the noise, and the bound stays what it is."""
+    data, truth = swings
+    sigma = 0.1 * np.array([0.1, 0.5])
+    small, large = (bending.bending(pendulum, data, truth, s * sigma, 0) for s in (1.0, 10.0))
+    # the same directions, ten times as long: the second order grows a hundredfold, the noise tenfold; the third
+    # order and the differences that slopes are made of are hundredths of it
+    assert large.error == pytest.approx(10 * small.error, rel=0.1)
+    assert large.often == 0
+    whole = bound.information_bound(pendulum, data, truth, sigma).whole
+    assert whole is not None
+    np.testing.assert_allclose(small.whole, whole, rtol=1e-3)
+
+
+def test_contacts_bend_the_motion(swings, pendulum):
+    """Feet on the floor make a motion far less linear within its noise than a pendulum's, and the bound wider."""
+    data, truth = swings
+    smooth = bending.bending(pendulum, data, truth, 0.01 * sensing.channel_spread(pendulum.states, data), 0)
+    runner = robot("half_cheetah")
+    data, truth = collect(runner, "gaussian", episodes=2, steps=40, seed=0)
+    simulator = MujocoSimulator(runner.path, runner.space)
+    sigma = 0.01 * sensing.channel_spread(simulator.states, data)
+    found = bending.bending(simulator, data, truth, sigma, 0)
+    assert found.error > 10 * smooth.error
+    whole = bound.information_bound(simulator, data, truth, sigma).whole
+    assert whole is not None
+    assert (found.whole >= whole * (1 - 1e-9)).all(), "more noise, less information"
 
 
 def test_friction_is_unknown_where_nothing_slides():

@@ -128,6 +128,11 @@ def test_a_local_minimum_is_told_from_ignorance():
     text = failed(content)["bound"]
     assert "error 20.00 x bound" in text
     assert "1 of 2 robots end in a local minimum" in text
+    assert "small noise" not in failed(content)["whole"]
+    content["bending"] = {"error": 0.25, "often": 0.5, "whole": [[0.03, 0.03]] * 2}
+    text = failed(content)["whole"]
+    assert "wrong by 0.25 of the noise (median channel), and in 50.0% of the transitions by more" in text
+    assert "the bound is 3 x as wide" in text
 
 
 TINY = replace(

@@ -71,7 +71,7 @@ def information_bound(simulator: MujocoSimulator, dataset: Dataset, truth: Truth
         return Bound(None, None, sensitivity, felt)
     by_state = state_slopes(simulator, windows, truth.xi, channel_spread(simulator.states, dataset))
     one_step, whole = (
-        np.array([_standard_errors(information(by_parameter[m], by_state[m], sigma, joint=joint)) for m in members])
+        np.array([standard_errors(information(by_parameter[m], by_state[m], sigma, joint=joint)) for m in members])
         for joint in (False, True)
     )
     return Bound(one_step, whole, sensitivity, felt)
@@ -95,7 +95,9 @@ def unmoved(simulator: MujocoSimulator, dataset: Dataset, truth: Truth, paramete
     return apart(dataset).subset(np.flatnonzero(np.sqrt((slopes**2).mean(1)) <= UNFELT).tolist())
 
 
-def information(by_parameter: Array, by_state: Array, sigma: Array, *, joint: bool) -> Array:
+def information(
+    by_parameter: Array, by_state: Array, sigma: Array, *, joint: bool, process: Array | None = None
+) -> Array:
     """Fisher information about the parameters in the transitions of one episode, (D, D).
 
     Args:
@@ -103,22 +105,25 @@ def information(by_parameter: Array, by_state: Array, sigma: Array, *, joint: bo
         by_state: F of every transition (T, C, C).
         sigma: standard deviation of the errors of a state (C,).
         joint: count what neighbours share; otherwise every transition stands alone.
+        process: covariance of what else every transition is off by, on its own (C, C); None for nothing.
     """
     variance = np.diag(sigma**2)
+    ends = variance if process is None else variance + process
     total = np.zeros(by_parameter.shape[2:] * 2)
     left, slope = np.zeros_like(by_parameter[0]), np.zeros_like(variance)
     for j, f in zip(by_parameter, by_state, strict=True):
         # one step of block elimination: what the transitions before this one leave unknown of it
         shared = -f @ variance if joint else 0.0 * variance
         mean = j - shared @ left
-        covariance = variance + f @ variance @ f.T - shared @ slope @ shared.T
+        covariance = ends + f @ variance @ f.T - shared @ slope @ shared.T
         slope = np.linalg.inv(0.5 * (covariance + covariance.T))
         left = slope @ mean
         total += mean.T @ left
     return total
 
 
-def _standard_errors(information: Array) -> Array:
+def standard_errors(information: Array) -> Array:
+    """Square roots of the diagonal of (information (D, D) + prior)^-1, in widths of the bounds, (D,)."""
     return np.sqrt(np.diag(np.linalg.inv(information + PRIOR_INFORMATION * np.eye(len(information)))))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from nfpde.bench.estimation.bending import bending
 from nfpde.bench.estimation.bound import information_bound, unmoved
 from nfpde.bench.estimation.draws import redrawn, yardsticks
 from nfpde.bench.estimation.sensing import with_noise
@@ -31,6 +32,7 @@ Stage = Callable[[str, Callable[[], Any], Any], Any]
 """Name, computation and settings of a part of the work; gives what it computed, now or in an earlier call."""
 
 SOFTMAX, TRAJECTORY, YARDSTICKS = "softmax, ", "trajectory", "yardsticks"
+BENDING = "bending"
 STUCK = "without sliding"
 OWN = f"{SOFTMAX}own beta"
 
@@ -97,6 +99,8 @@ def measure(cell: Cell, settings: Settings, stage: Stage, device: Device = "cpu"
         stage(f"{SOFTMAX}{factor:g} x beta", lambda beta=beta: work.softmax(beta), by_softmax | {"beta": beta})
     stage(TRAJECTORY, work.trajectory, measured | asdict(settings.trajectory))
     stage("bound", work.bound, data)
+    if cell.noise:
+        stage(BENDING, work.bending, data)
     stage(YARDSTICKS, lambda: yardsticks(work.recorded[1], settings.samples), measured)
     if cell.noise == 0 and work.friction is not None:
         stage(STUCK, work.stuck, data | asdict(settings.trajectory))
@@ -119,6 +123,7 @@ def assemble(content: dict[str, Any]) -> dict[str, Any]:
         "softmax": {"fits": fits, "chosen": fits.index(chosen(fits)), "oracle": fits.index(oracle(fits))},
         "trajectory": found[TRAJECTORY],
         "bound": found["bound"],
+        BENDING: found.get(BENDING),
         YARDSTICKS: found.get(YARDSTICKS),
         STUCK: found.get(STUCK),
         "steps_per_core_second": found["rate"],
@@ -199,6 +204,10 @@ class _Work:
     def bound(self) -> dict[str, Any]:
         found = information_bound(self.simulator, *self.recorded, self.measured[1])
         return {k: None if v is None else v.tolist() for k, v in vars(found).items()}
+
+    def bending(self) -> dict[str, Any]:
+        found = bending(self.simulator, *self.recorded, self.measured[1], self.cell.seed)
+        return vars(found) | {"whole": found.whole.tolist()}
 
     def stuck(self) -> dict[str, Any] | None:
         """A fit of the transitions alone in which nothing slides: what they say of friction, and of all else."""

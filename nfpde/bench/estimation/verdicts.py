@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.bench.estimation.draws import in_words
+from nfpde.bench.estimation import bending, draws
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,8 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
         for name, key in (("bound", "over_bound"), ("whole", "over_whole")):
             over = found[key] or 0.0
             text = f"error {over:.2f} x bound, at most {OVER_BOUND:g} wanted"
-            verdicts.append(_verdict(name, over <= OVER_BOUND, text, [*_widths(cell, found), *why]))
+            bent = bending.in_words(cell.get("bending"), np.array(cell["bound"]["whole"])) if name == "whole" else []
+            verdicts.append(_verdict(name, over <= OVER_BOUND, text, [*_widths(cell, found), *bent, *why]))
     text = f"OT to fresh draws {far['trajectory']:.3g}, softmax {far['softmax']:.3g}"
     floor = [f"fresh draws of the truth are at {far['population']:.3g}"]
     population = trajectory["info"].get("population")
@@ -115,7 +116,7 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
         floor.append(f"the population is {population['chosen']}")
     # cells of older code have not drawn again
     chosen = cell["softmax"]["fits"][cell["softmax"]["chosen"]]
-    floor += in_words(cell.get("yardsticks"), trajectory.get("redrawn", []), chosen.get("redrawn", []))
+    floor += draws.in_words(cell.get("yardsticks"), trajectory.get("redrawn", []), chosen.get("redrawn", []))
     verdicts.append(_verdict("fresh", far["trajectory"] <= far["softmax"], text, floor))
     if robot in PAPER_SECONDS:
         mine, paper = seconds(cell, trajectory), PAPER_SECONDS[robot]
