@@ -17,8 +17,9 @@ from nfpde.gap.levels import Yardstick, rare, shrink_interval
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
-from nfpde.gap.select import Accepted, Selection, key
+from nfpde.gap.select import CLOSED, NEAR_FLOOR, Accepted, Selection, key
 from nfpde.gap.separate import separating_experiment
+from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial
 from nfpde.gap.where import gap_map, needed_forces, places
 from nfpde.gap.words import summary
@@ -26,18 +27,11 @@ from nfpde.sim import runs_on
 
 Array = NDArray[np.float64]
 
-NEAR_FLOOR = 1.5
-"""A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
-
 ALARM = 0.005
 """Probability at which a few windows beyond all noise count as a gap."""
 
 SPOTLESS = 1e-6
 """A gap below this share of the nominal model's is closed, whatever the noise."""
-
-CLOSED = 0.9
-"""Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
-else is at work."""
 
 QUIET = 0.1
 """Share of what counts as a gap that counts as noise where the sensors have none."""
@@ -49,23 +43,37 @@ TRACES = 6
 class Outcome:
     """All that a diagnosis found.
 
-    nominal: held-out residuals of the nominal model (N, nv, C)
-    base: parameters fitted, without effects; final: with them
+    stage: the windows on which the gap is measured
+    near: those on which it was explained: the same, or shorter ones
+    final: parameters and effects fitted
     accepted: effects in the order of their acceptance, which is their order in `final`
     sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
     """
 
     dataset: Dataset
-    recordings: Recordings
-    nominal: Array
-    base: Trial
+    stage: Stage
+    near: Stage
     final: Trial
     accepted: tuple[Accepted, ...]
     selection: Selection
-    yardstick: Yardstick
     sigma: Array
     typical: Array
     seed: int
+
+    @property
+    def recordings(self) -> Recordings:
+        """The windows."""
+        return self.stage.recordings
+
+    @property
+    def base(self) -> Trial:
+        """Parameters fitted, without effects."""
+        return self.stage.base
+
+    @property
+    def yardstick(self) -> Yardstick:
+        """Measures the gap."""
+        return self.stage.yardstick
 
     @cached_property
     def without(self) -> list[Trial]:
@@ -78,7 +86,7 @@ class Outcome:
         """The ladder at one horizon (an index), or over all."""
         count = len(self.recordings.horizons)
         columns = slice(None) if horizon is None else [horizon, count + horizon]
-        stages = [self.yardstick.squares(r) for r in (self.nominal, self.base.held, self.final.held)]
+        stages = [self.yardstick.squares(r) for r in (self.stage.nominal, self.base.held, self.final.held)]
         gaps = [float(squares[..., columns].mean()) for squares in (*stages, self.yardstick.floor)]
         unit = max(gaps[0], 1e-300)
         return Level(1.0, *(g / unit for g in gaps[1:]))
@@ -102,11 +110,11 @@ class Outcome:
     def distance(self) -> Distance:
         """How far apart recorded and simulated states lie at the windows' ends."""
         base, final, held = self.base.fit, self.final.fit, self.recordings.held
-        nominal = self.selection.court.nominal[None]
+        nominal = self.stage.court.nominal[None]
         at = [(base.replay, nominal), (base.replay, base.xi[None]), (final.replay, final.xi[None])]
         ends = [replay.predict(xi, held)[0, :, -1] for replay, xi in at]
         count = len(self.recordings.horizons)
-        draw = self.yardstick.noise[0] * self.selection.court.held.scale
+        draw = self.yardstick.noise[0] * self.stage.court.held.scale
         noise = np.concatenate([draw[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
         return distance(base.replay.sim.states, held, ends, noise)
 
@@ -127,21 +135,24 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     """Put the report together."""
     selection, recordings, final, base = outcome.selection, outcome.recordings, outcome.final, outcome.base
     model = selection.model
+    near = outcome.near
+    court = near.court
+    left_over = final if near is outcome.stage else near.shown(final, refitted=False)
     # what noise alone leaves, so that a gap that remains does not hide itself
-    noise = outcome.yardstick.noise.reshape(-1, *final.held.shape[1:])
-    quiet = learn_scatter(noise, 0, QUIET * selection.court.floor)
-    court = selection.court
+    sound = outcome.yardstick.noise if near is outcome.stage else near.yardstick.noise
+    noise = sound.reshape(-1, *left_over.held.shape[1:])
+    quiet = learn_scatter(noise, 0, QUIET * court.floor)
     halves = (court.fitter, court.held)
     # both halves: where the gap lies is no matter of proof, and an effect may show in few windows
-    at_base = [needed_forces(base.fit, half, quiet, outcome.typical, noise).energy for half in halves]
-    forces = [needed_forces(final.fit, half, quiet, outcome.typical, noise) for half in halves]
-    left = leftover(recordings, forces[0], forces[1], quiet, final.held, model)
+    at_base = [needed_forces(near.base.fit, half, quiet, outcome.typical, noise).energy for half in halves]
+    forces = [needed_forces(left_over.fit, half, quiet, outcome.typical, noise) for half in halves]
+    left = leftover(near.recordings, forces[0], forces[1], quiet, left_over.held, model)
     gap = outcome.level(None)
     verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), bool(outcome.accepted))
-    force = describe(left, model, recordings.held) if verdict == "unexplained" else None
+    force = describe(left, model, near.recordings.held) if verdict == "unexplained" else None
     effects = _causes(outcome)
     ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
-    found = gap_map(model, joined(recordings.fit, recordings.held), np.concatenate(at_base), court.capped)
+    found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
     parameters = _fitted(final.fit, slice(0, len(names)), names)
@@ -219,7 +230,7 @@ def _fitted(fit: Fit, columns: slice, names: list[str]) -> dict[str, Fitted]:
 
 def _ladder(outcome: Outcome, gap: Level) -> list[tuple[str, float]]:
     rungs = [("nominal model", 1.0), ("+ parameters", gap.after_parameters)]
-    unit = float(outcome.yardstick.squares(outcome.nominal).mean())
+    unit = float(outcome.yardstick.squares(outcome.stage.nominal).mean())
     for i, accepted in enumerate(outcome.accepted[:-1]):
         trial = outcome.final
         for later in range(len(outcome.accepted) - 1, i, -1):

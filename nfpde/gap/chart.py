@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from nfpde.gap.replay import Replay
 
@@ -44,8 +45,7 @@ class Chart:
                 else:
                     zero = float(np.clip(quantity.neutral, low, high)) if finite else low
                     self._zero[column] = zero
-                    near = replay.near[column]
-                    self._unit[column] = near if np.isfinite(near) else _NEARBY * max(high - zero, zero - low)
+                    self._unit[column] = _NEARBY * max(high - zero, zero - low)
         self.low, self.high = self.inward(self._low), self.inward(self._high)
 
     def inward(self, xi: Array) -> Array:
@@ -64,3 +64,23 @@ class Chart:
         ratio = np.exp(np.where(self._log, at, 0.0))
         inside = np.where(self._log, ratio, self._zero + np.where(self._unit > 0, signed, share))
         return np.clip(inside, self._low, self._high)
+
+
+def all_over(replay: Replay, index: int, xi: Array, count: int) -> Array:
+    """Guesses (count, D) with values of an effect all over its bounds beside other parameters (D - P,)."""
+    chart, columns = Chart(replay), np.arange(replay.nfree)[replay.columns(index)]
+    at = np.zeros((count, replay.nfree))
+    low, high = chart.low[columns], chart.high[columns]
+    at[:, columns] = low + (high - low) * _even(count, len(columns))
+    found = chart.outward(at)
+    found[:, np.setdiff1d(np.arange(replay.nfree), columns)] = xi
+    return found
+
+
+def _even(count: int, size: int) -> Array:
+    """Points spread evenly over the unit cube (count, size), shifted at random."""
+    if size == 1:
+        points = np.arange(count)[:, None] / count
+    else:
+        points = qmc.Sobol(size, scramble=False).random(1 << (count - 1).bit_length())[:count]
+    return (points + np.random.default_rng(0).random(size)) % 1.0

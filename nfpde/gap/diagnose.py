@@ -14,26 +14,20 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
+from nfpde.gap.brief import brief
 from nfpde.gap.checks import check_fit
-from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.levels import Yardstick, calm
-from nfpde.gap.loud import DRAWS, loudness, noise_residuals
-from nfpde.gap.noise import floor_of, learn_scatter
+from nfpde.gap.levels import Yardstick
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
-from nfpde.gap.search import search_all
-from nfpde.gap.select import Selection
+from nfpde.gap.select import Accepted, Selection
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.stage import Stage, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.trial import Trial, noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
 
 Array = NDArray[np.float64]
-
-GATHERINGS = 5
-"""Turns of samples about the parameters at most where contacts make slopes mislead: what a base has left to gain every
-effect would seem to explain."""
 
 
 def diagnose_gap(
@@ -78,26 +72,51 @@ def diagnose_gap(
     history, lead = _history(candidates, dataset.control_dt)
     windows = windows or windows_for(mjmodel.nv)
     recordings = cut_recordings(dataset, history, seed, windows, lead)
-    check_fit(start, recordings, _nominal(start))
+    guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
+    check_fit(start, recordings, guesses[0])
+    touches = any(e.whole == "contact" for e, _ in candidates)
     report("fitting the parameters")
-    base, court = _base_fit(start, recordings, any(e.whole == "contact" for e, _ in candidates))
-    held = alike_halves(recordings, _gaps(base, court), seed)
+    base, court = first_fit(start, _lengths(recordings, touches)[0], guesses, capped=touches)
+    held = alike_halves(_lengths(recordings, touches)[0], gaps(base, court), seed)
     if held is not None:
         recordings = cut_recordings(dataset, history, seed, windows, lead, held)
-        base, court = _moved_over(base, court, recordings)
-    report("noise of the sensors")
-    nominal, base, court, draws = _in_noise(base, court, recordings, seed)
-    yardstick = Yardstick.of(draws, base.held, court.capped)
-    selection = Selection(mjmodel, space, nthread, court, yardstick, candidates, report, device)
-    final, accepted = selection.run(base)
+        base, court = moved_over(base, court, _lengths(recordings, touches)[0])
+    selection: Selection | None = None
+    stage: Stage | None = None
+    found: tuple[Trial, list[Accepted]] | None = None
+    for part in _lengths(recordings, touches):
+        report("noise of the sensors")
+        if stage is not None:
+            guesses = np.vstack([guesses[:2], base.fit.xi])
+            base, court = first_fit(start, part, guesses, capped=touches)
+        stage = in_noise(base, court, part, seed)
+        base = stage.base
+        if selection is None:
+            selection = Selection(mjmodel, space, nthread, stage.court, stage.yardstick, candidates, report, device)
+        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
+        selection.sigma = stage.sigma if touches else None
+        found = selection.run(base, found)
+    if selection is None or stage is None or found is None:
+        raise RuntimeError("there are no windows of any length")
     report("where, and what is left")
-    sigma = _sigma(final.fit, recordings)
-    draws = _noise(final.fit, sigma, court.held, seed) / court.held.scale
-    yardstick = Yardstick.of(draws, base.held, court.capped)
-    outcome = Outcome(
-        dataset, recordings, nominal, base, final, tuple(accepted), selection, yardstick, sigma, scales.force, seed
-    )
+    near, (final, accepted) = stage, found
+    if touches and len(near.recordings.horizons) < len(recordings.horizons):
+        base, court = first_fit(start, recordings, np.vstack([guesses[:2], base.fit.xi]), capped=True)
+        stage = in_noise(base, court, recordings, seed)
+        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
+        final = stage.shown(final, refitted=True) if accepted else stage.base
+        selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
+    sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
+    draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
+    shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped))
+    near = shown if near is stage else near
+    outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed)
     return answer(outcome, time.monotonic() - begin)
+
+
+def _lengths(recordings: Recordings, touches: bool) -> list[Recordings]:
+    """The recordings in windows of the lengths that are fitted, shortest first."""
+    return (brief(recordings) if touches else []) or [recordings]
 
 
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:
@@ -112,91 +131,3 @@ def _nominal(start: Replay) -> Array:
     """The model's own parameters, brought inside their bounds; the middle of the bounds where elements differ."""
     own, middle = start.sim.nominal()[: start.nfree], 0.5 * (start.low + start.high)
     return np.clip(np.where(np.isnan(own), middle, own), start.low, start.high)
-
-
-def _base_fit(start: Replay, recordings: Recordings, rugged: bool) -> tuple[Trial, Court]:
-    """The fit of the parameters alone, and the court that judges effects.
-
-    Where contacts make the cost rugged, the parameters are searched by samples too.
-    """
-    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
-    guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
-    moved = _moved(start, recordings)
-    first = fitter.residuals_at(start, guesses[:1])[0]
-    scatter = learn_scatter(first, 0, floor_of(first, moved))
-    fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
-    court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], rugged)
-    fit = court.settle(fit, rounds=1, iterations=5)
-    court = replace(court, floor=floor_of(fit.residuals, moved))
-    fit = court.settle(fit, rounds=1, iterations=5)
-    if rugged and start.nfree:
-        some, part = court.screening(fit)
-        found = fitter.start(start, search_all(some, part).xi[None], fit.scatter)
-        found = court.settle(found)
-        fit = found if found.cost < fit.cost else fit
-    return _judged(fit, court, moved)
-
-
-def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
-    """A fit of the parameters as the base, and the court with the floor that it leaves."""
-    court = replace(court, floor=floor_of(fit.residuals, moved))
-    fit = court.fitter.linearise(court.fitter.rescale(fit, court.scatter(fit)))
-    return court.judge(None, fit), court
-
-
-def _gaps(base: Trial, court: Court) -> Array:
-    """What a base leaves in every window, those to fit first (N,)."""
-    white = base.fit.scatter.whiten(np.concatenate([base.fit.residuals, base.held]))
-    return calm(white**2, court.capped).mean((1, 2))
-
-
-def _moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
-    """The base fitted to other halves of the recordings, from where it was."""
-    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
-    fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
-    court = replace(court, block=recordings.block, fitter=fitter, held=held)
-    return _judged(court.settle(fit), court, _moved(fit.replay, recordings))
-
-
-def _moved(replay: Replay, recordings: Recordings) -> Array:
-    """By how much the channels change over the horizons, as residuals (N, nv, C)."""
-    steps = np.array(recordings.horizons) - 1
-    windows = recordings.fit
-    return replay.by_dof(replay.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
-
-
-def _in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> tuple[Array, Trial, Court, Array]:
-    """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
-
-    Returns:
-        Held-out residuals of the nominal model (N, nv, C), the base, the court, and residuals that noise alone gives
-        in the held-out windows (draws, N, nv, C).
-    """
-    sigma = _sigma(base.fit, recordings)
-    fit, held = (_noise(base.fit, sigma, half, seed) for half in (court.fitter, court.held))
-    left = np.concatenate([base.fit.residuals, base.held])
-    loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
-    fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
-    other = replace(court.held, loudness=loud[fit.shape[1] :])
-    found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
-    floor = floor_of(found.residuals, _moved(found.replay, recordings))
-    quiet = None
-    if not court.rugged:
-        quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
-    court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
-    found = court.settle(fitter.rescale(found, court.scatter(found)))
-    if court.rugged and found.replay.nfree:
-        found = court.evolved(found, GATHERINGS)
-    found = fitter.linearise(found)
-    nominal = other.residuals_at(found.replay, court.nominal[None])[0]
-    return nominal, court.judge(None, found), court, held / other.scale
-
-
-def _sigma(fit: Fit, recordings: Recordings) -> Array:
-    """Noise of the sensors (2 nv,) as a fit's model sees it."""
-    return sensor_noise(fit.replay, fit.xi, recordings.rows)
-
-
-def _noise(fit: Fit, sigma: Array, half: Fitter, seed: int) -> Array:
-    """Residuals that noise of the sensors (2 nv,) alone gives (draws, N, nv, C)."""
-    return noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS)

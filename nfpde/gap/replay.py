@@ -53,8 +53,6 @@ class Replay:
         low, high: bounds of the free parameters: base parameters first, then those of the effects (D,).
         nbase: number of base parameters.
         effects: the effects.
-        near: distances from neutral that matter, by which searches of the effects' parameters are scaled (D,); NaN
-            where none is known.
     """
 
     def __init__(
@@ -73,7 +71,6 @@ class Replay:
         self.nbase = 0 if space is None else len(space)
         self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]
         self.parameters = list(self.sim.space)[: -self.nv]
-        self.near = np.full(len(self.low), np.nan)
 
     @property
     def nfree(self) -> int:

@@ -15,9 +15,7 @@ from scipy.optimize import lsq_linear
 
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.gather import spread
 from nfpde.gap.noise import Scatter
-from nfpde.gap.reach import matched, near_neutral
 from nfpde.gap.replay import Replay
 
 Array = NDArray[np.float64]
@@ -26,9 +24,6 @@ _SIZES = (0.4, 1.0, 2.0, 3.5)
 
 SHARE = 0.25
 """Candidates that could explain less than this share of what the best could are not refitted."""
-
-_CLOSEST = 3
-"""Guesses whose gain is looked at where contacts are, with the parameters where they are and where slopes lead them."""
 
 _MOST_SCALE = 1.5
 """How far beyond a screened magnitude the linear scale may go."""
@@ -42,8 +37,7 @@ class Screened:
     replay: base effects and the candidate
     values: that were tried (K, P)
     explained: reduction of half the weighted squares by each scatter [nats]
-    share: of what the best candidate could explain; by the scatter in which it is largest, or where contacts make
-        slopes mislead of what the best one has gained, if that is more
+    share: of what the best candidate could explain; by the scatter in which it is largest
     starts: scatters in which it explains something, with values to start a fit from (G, P)
     change: the projected, weighted change that explains most, of unit length (n,), by the first scatter
     """
@@ -86,8 +80,6 @@ def screen(
     candidates: Sequence[tuple[Effect, Array]],
     replay_with: Callable[[Effect], Replay],
     quiet: Scatter | None = None,
-    *,
-    rugged: bool = False,
 ) -> list[Screened]:
     """Screen candidates at a linearised base fit, best first.
 
@@ -98,43 +90,25 @@ def screen(
         replay_with: Makes the replay of the base and one more effect, its parameters last.
         quiet: What residuals scatter by where nothing is missing. What acts in few windows has given the scatter of
             the base heavy tails, and counts for next to nothing in it.
-        rugged: Whether contacts make slopes mislead: values are brought down to sizes that matter first.
     """
     views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
-    gap = spread(base.residuals, base.scatter.floor)
     found = []
     for effect, values in candidates:
         replay = replay_with(effect)
-        if rugged and effect.whole != "contact":  # those are searched over all their sizes
-            values = matched(fitter, replay, effect, base.xi, values, base.residuals, base.scatter.floor)
-            replay.near[len(base.xi) :] = near_neutral(effect, values)
         xi = np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
         there = fitter.residuals_at(replay, xi)
-        searched = effect.whole == "contact"
-        least = max(gap - spread(r, base.scatter.floor) for r in there) if searched else -np.inf
-        judged = [_judge(effect, values, v.residual, v.changes(there), max(v.gain(there), least)) for v in views]
-        gained = _gained(fitter, base, replay, judged[0].guesses) if rugged else 0.0
-        found.append((effect, replay, values, judged, gained))
-    best = [max((judged[v].explained for *_, judged, _ in found), default=0.0) for v in range(len(views))]
-    most_gained = max((gained for *_, gained in found), default=0.0)
+        judged = [_judge(effect, values, v.residual, v.changes(there), v.gain(there)) for v in views]
+        found.append((effect, replay, values, judged))
+    best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
     out = []
-    for effect, replay, values, judged, gained in found:
+    for effect, replay, values, judged in found:
         shares = [j.explained / most if most > 0 else 0.0 for j, most in zip(judged, best, strict=True)]
         every = zip(views, judged, shares, strict=True)
         starts = tuple((v.scatter, j.guesses) for v, j, share in every if share >= SHARE)
         explained = tuple(j.explained for j in judged)
         starts = starts or ((views[0].scatter, judged[0].guesses),)
-        shares.append(gained / most_gained if most_gained > 0 else 0.0)
         out.append(Screened(effect, replay, values, explained, max(shares), starts, judged[0].change))
     return sorted(out, key=lambda s: -s.share)
-
-
-def _gained(fitter: Fitter, base: Fit, replay: Replay, guesses: Array) -> float:
-    """What the best of a candidate's guesses (G, P) leaves less than the base, see `spread` [nats]."""
-    xi = np.hstack([np.tile(base.xi, (len(guesses), 1)), guesses])
-    places = fitter.best(replay, xi, base.scatter, _CLOSEST, base)
-    floor = base.scatter.floor
-    return spread(base.residuals, floor) - min(spread(r, floor) for r in fitter.residuals_at(replay, places))
 
 
 def _span(base: Fit, scatter: Scatter, root: Array) -> Array:
@@ -172,7 +146,7 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     single = scale * along - 0.5 * scale**2 * norms
     best = int(single.argmax())
     guesses = [*values] if scale[best] > 0 else [*values, neutral - (values[best] - neutral)]
-    reachable = bool(((neutral >= low) & (neutral <= high)).all())  # some are neutral at infinity only
+    reachable = bool(((neutral >= low) & (neutral <= high))[decisive].all())  # some are neutral at infinity only
     if reachable:  # the change is not linear in the size: a few sizes about the best one
         guesses += [neutral + f * scale[best] * (values[best] - neutral) for f in _SIZES]
     explained, change, mixed = float(single[best]), changes[best], list[Array]()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, SOUGHT, Court, Trial, block_test
+from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, Court, Trial, block_test, noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -29,6 +29,16 @@ WORTH = 0.02
 
 FLOOR_ERROR = 0.1
 """Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
+
+NEAR_FLOOR = 1.5
+"""A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
+
+CLOSED = 0.9
+"""Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
+else is at work."""
+
+NOISE_SEED = 0
+"""Of the draws of noise in which a gap may disappear."""
 
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
@@ -59,6 +69,7 @@ class Selection:
     yardstick: measures the gap
     candidates: effects with the values to screen
     report: called with what is being done
+    sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
     """
 
     model: mujoco.MjModel
@@ -70,15 +81,28 @@ class Selection:
     report: Callable[[str], None] = lambda what: None
     device: Device = "cpu"
     ranking: list[Trial] = field(default_factory=list)
+    sigma: Array | None = None
     steps: int = 0
 
-    def run(self, base: Trial) -> tuple[Trial, list[Accepted]]:
-        """Select; returns the final trial and the accepted effects in the order of their acceptance."""
+    def run(self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None) -> tuple[Trial, list[Accepted]]:
+        """Select.
+
+        Args:
+            base: The parameters fitted, without effects.
+            earlier: What was found on shorter windows, to go on from.
+
+        Returns:
+            The final trial and the accepted effects in the order of their acceptance.
+        """
         current, accepted = base, list[Accepted]()
         first_gap = self._whole_gap(base)
+        if earlier is not None and earlier[1]:
+            current, accepted = self._carried(base, *earlier, first_gap)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
-            if len(accepted) == MOST_EFFECTS or (accepted and self._at_floor(current)):
+            if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self._at_floor(current)):
                 break
+            if earlier is not None and accepted and self._whole_gap(current) <= (1 - CLOSED) * first_gap:
+                break  # what is left has been asked about on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self._round(current, [a.effect for a in accepted])
             if not self.ranking:
@@ -91,17 +115,49 @@ class Selection:
             accepted.append(new)
             if len(accepted) > 1:
                 current, accepted = self._second_look(current, accepted, first_gap)
-        return (self._polish(current) if accepted else current), accepted
+        return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
 
-    def _polish(self, trial: Trial) -> Trial:
-        """The accepted effects and the parameters fitted once more, to the end."""
-        fit = self.court.fitter.linearise(self.court.converged(trial.fit))
+    def _carried(
+        self, base: Trial, trial: Trial, accepted: list[Accepted], first_gap: float
+    ) -> tuple[Trial, list[Accepted]]:
+        """What was found on shorter windows, fitted to these; what was equal there may be told apart here."""
+        fit = self.court.fitter.start(trial.fit.replay, trial.fit.xi[None], base.fit.scatter)
+        current = self._converged(Trial(None, fit, trial.density, trial.held))
+        for asked in list(accepted):  # the one told apart stands last afterwards
+            current, accepted = self._told_apart(current, accepted, accepted.index(asked), first_gap)
+        return current, accepted
+
+    def _told_apart(
+        self, current: Trial, accepted: list[Accepted], index: int, first_gap: float
+    ) -> tuple[Trial, list[Accepted]]:
+        """An effect that had equals on shorter windows beside them on these; it stays where these ask for none."""
+        asked = accepted[index]
+        if not asked.rivals:
+            return current, accepted
+        smaller = self.without(current, index)
+        found = self._accept(smaller, self._again(smaller, [asked.trial, *asked.rivals]), first_gap)
+        if found is None:
+            return current, accepted
+        current, new = found
+        current, rest = self._converged(current), [a for i, a in enumerate(accepted) if i != index]
+        return current, [*rest, replace(new, field=asked.field)]
+
+    def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
+        """The trial with slopes at its place, after a fit to the end unless it is fitted already."""
+        fit = self.court.fitter.linearise(trial.fit if fitted else self.court.converged(trial.fit))
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
     def _at_floor(self, trial: Trial) -> bool:
-        """Whether noise alone would leave as much."""
-        return self._gap(trial) < float(self.yardstick.floor.mean()) + FLOOR_ERROR
+        """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
+        floor = float(self.yardstick.floor.mean())
+        if self.sigma is None:
+            return self._gap(trial) < floor + FLOOR_ERROR
+        # a model that touches nothing knows nothing of what contacts make of noise
+        held = self.court.held
+        noise = noise_of(trial.fit, self.sigma, held, NOISE_SEED) / held.scale
+        floor = max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
+        return self._whole_gap(trial) < NEAR_FLOOR * floor + FLOOR_ERROR
 
     def _gap(self, trial: Trial) -> float:
         return float(self.yardstick.gap(trial.held).mean())
@@ -121,7 +177,7 @@ class Selection:
         replay = trial.fit.replay
         effects = [e for i, e in enumerate(replay.effects) if i != index]
         keep = np.delete(np.arange(replay.nfree), replay.columns(index))
-        smaller = self._replay(effects, replay.near[keep])
+        smaller = self._replay(effects)
         fit = self.court.fitter.start(smaller, trial.fit.xi[keep][None], trial.fit.scatter)
         settled = self.court.settle(fit)
         self._count(smaller)
@@ -134,16 +190,13 @@ class Selection:
         replays = []
 
         def replay_with(effect: Effect) -> Replay:
-            replays.append(self._replay([*base.replay.effects, effect], base.replay.near))
+            replays.append(self._replay([*base.replay.effects, effect]))
             return replays[-1]
 
-        if self.court.rugged:  # what counts there is what a candidate gains, and that takes fewer windows than slopes
-            screened = self._screen(base, open_ones, replay_with, SOUGHT)
-        else:
-            if len(open_ones) > MANY:
-                glanced = self._screen(base, open_ones, replay_with, GLANCED)[:MANY]
-                open_ones = [(s.effect, s.values) for s in glanced]
-            screened = self._screen(base, open_ones, replay_with, SCREENED)
+        if len(open_ones) > MANY:
+            glanced = self._screen(base, open_ones, replay_with, GLANCED)[:MANY]
+            open_ones = [(s.effect, s.values) for s in glanced]
+        screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = refit(self.court, base, screened)
         for replay in replays:
@@ -155,10 +208,10 @@ class Selection:
         base: Fit,
         candidates: Sequence[tuple[Effect, Array]],
         replay_with: Callable[[Effect], Replay],
-        count: int,
+        part: tuple[int, float],
     ) -> list[Screened]:
         court = self.court
-        return screen(*court.screening(base, count), candidates, replay_with, court.quiet, rugged=court.rugged)
+        return screen(*court.screening(base, part), candidates, replay_with, court.quiet)
 
     def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
         """Effects that were refitted before, beside another base, from where they were."""
@@ -167,8 +220,7 @@ class Selection:
         for t in trials:
             if t.effect is not None:
                 columns = t.fit.replay.columns(len(t.fit.replay.effects) - 1)
-                near = np.concatenate([base.replay.near, t.fit.replay.near[columns]])
-                replay, values = self._replay([*base.replay.effects, t.effect], near), t.fit.xi[columns][None]
+                replay, values = self._replay([*base.replay.effects, t.effect]), t.fit.xi[columns][None]
                 starts = ((base.scatter, values),)
                 hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts, np.zeros(0)))
         found = refit(self.court, base, hopeful)
@@ -179,9 +231,7 @@ class Selection:
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self._whole_gap(current)
-        worth = max(WORTH * gap, FLOOR_ERROR)
-        if not self.court.rugged:  # beside contacts the floor is not known well enough to ask what little lies above it
-            worth = min(WORTH * first_gap, worth)
+        worth = min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
         tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
         trials = [t for t in trials if gap - self._whole_gap(t) >= worth]
@@ -198,13 +248,24 @@ class Selection:
             behind, error, apart = block_test(best.density - trial.density, block)
             if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
                 near.append(trial)
-            if apart > APART or trial in near:
+            if self._equal(gap, best, trial, apart > APART or trial in near):
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
         chosen = min((t for t in near if t in sure), key=lambda t: (len(_parameters(t)), -t.density.mean()))
         if chosen.effect is None:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))
+
+    def _equal(self, gap: float, best: Trial, trial: Trial, untold: bool) -> bool:
+        """Whether a trial explains the same as the best, of a gap, where densities do not tell them apart, or do.
+
+        Beside contacts a few jumps decide about densities: who leaves as little as the best is its equal whatever they
+        say, and who leaves much more is not.
+        """
+        if self.sigma is None:
+            return untold
+        more, removed = self._whole_gap(trial) - self._whole_gap(best), gap - self._whole_gap(best)
+        return more <= FLOOR_ERROR or (untold and more <= (1 - CLOSED) * removed)
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
@@ -228,11 +289,8 @@ class Selection:
             current = replaced
         return current, accepted
 
-    def _replay(self, effects: Sequence[Effect], near: Array) -> Replay:
-        """The model with effects; what is known of the distances that matter to the first parameters (d,) is kept."""
-        replay = Replay(self.model, self.space, effects, self.nthread, self.device)
-        replay.near[: len(near)] = near
-        return replay
+    def _replay(self, effects: Sequence[Effect]) -> Replay:
+        return Replay(self.model, self.space, effects, self.nthread, self.device)
 
     def _count(self, replay: Replay) -> None:
         self.steps += replay.sim.simulated_steps

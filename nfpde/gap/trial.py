@@ -11,11 +11,8 @@ from scipy.stats import wilcoxon
 
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.gather import spread
-from nfpde.gap.levels import CAPPED
+from nfpde.gap.loud import DRAWS, noise_residuals
 from nfpde.gap.noise import Scatter, learn_scatter
-from nfpde.gap.reach import reaches
-from nfpde.gap.search import search_about
 
 Array = NDArray[np.float64]
 
@@ -33,17 +30,11 @@ candidates that much comes by chance, and more is needed where no fit saw the da
 POLISHED = 4
 """Turns of a fit to the end at most."""
 
-TURNS, EVOLVED = 2, 24
-"""Times that samples start anew about a fit, and generations of each: see `Court.evolved`."""
+SCREENED, GLANCED = (60, 3 / 8), (20, 1 / 8)
+"""Windows that candidates are screened on, and glanced at: at least so many, and this share of all."""
 
-SCREENED = 60
-"""Windows that candidates are screened on."""
-
-SOUGHT = 30
-"""Windows on which candidates are screened and sought where contacts make slopes mislead."""
-
-GLANCED, MANY = 20, 24
-"""Where there are more candidates than `MANY`, all are glanced at on so many windows, and the best `MANY` screened."""
+MANY = 24
+"""Where there are more candidates, all are glanced at, and the best so many screened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +61,8 @@ class Court:
     fitter, held: of the windows of either half
     floor: smallest residual believed (nv, C)
     nominal: base parameters of the nominal model
-    rugged: whether contacts make the cost so rugged that slopes mislead
-    quiet: scatter of the residuals where nothing is missing; None where contacts are
+    capped: share of the largest residuals that are capped where a gap is measured
+    quiet: scatter of the residuals where nothing is missing; None where it is not known yet
     """
 
     block: NDArray[np.intp]
@@ -79,28 +70,20 @@ class Court:
     held: Fitter
     floor: Array
     nominal: Array
-    rugged: bool = False
+    capped: float = 0.0
     quiet: Scatter | None = None
 
-    def screening(self, base: Fit, count: int = SCREENED) -> tuple[Fitter, Fit]:
+    def screening(self, base: Fit, part: tuple[int, float] = SCREENED) -> tuple[Fitter, Fit]:
         """A part of the windows and the fit on it: to rank candidates takes fewer than to judge them.
 
-        They are spread evenly over all, and in smooth motion half of them are those that the base explains worst: an
-        effect may act in few windows.
+        Half of them are spread evenly over all, half are those that the base explains worst: an effect may act in few
+        windows.
         """
-        count = min(count, len(self.fitter.windows))
-        even = count if self.rugged else count - count // 2
-        some = np.unique(np.linspace(0, len(self.fitter.windows) - 1, even).round().astype(int))
-        if len(some) < count:
-            worst = np.argsort(-(base.scatter.whiten(base.residuals) ** 2).sum((1, 2)), kind="stable")
-            some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
-        part = replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
-        return self.fitter.some(some), part
-
-    @property
-    def capped(self) -> float:
-        """Share of the largest residuals that are capped where a gap is measured."""
-        return CAPPED if self.rugged else 0.0
+        count = min(max(part[0], round(part[1] * len(self.fitter.windows))), len(self.fitter.windows))
+        some = np.unique(np.linspace(0, len(self.fitter.windows) - 1, count - count // 2).round().astype(int))
+        worst = np.argsort(-(base.scatter.whiten(base.residuals) ** 2).sum((1, 2)), kind="stable")
+        some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
+        return self.fitter.some(some), replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
 
     def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
         """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
@@ -111,36 +94,12 @@ class Court:
 
     def converged(self, fit: Fit, kept: int = 0) -> Fit:
         """Fitted to the end: until a turn gains no more than chance."""
-        if self.rugged:
-            return self.evolved(fit)
         for _ in range(POLISHED):
             found = self.settle(fit, iterations=6, kept=kept)
             gain, fit = fit.cost - found.cost, found
             if gain < LEAST_GAIN:
                 break
         return fit
-
-    def evolved(self, fit: Fit, turns: int = TURNS) -> Fit:
-        """Samples that evolve about a fit until nothing is gained, then slopes: for where slopes alone mislead.
-
-        Args:
-            fit: The fit.
-            turns: How often samples start anew about the best at most, as far out as residuals change noticeably.
-        """
-        for turn in range(turns if fit.replay.nfree else 0):
-            widths = reaches(self.screening(fit, GLANCED)[0], fit.replay, fit.xi, self.floor)
-            places = search_about(self.screening(fit)[0], fit, widths, turn, EVOLVED)
-            found = self.best(fit, places)
-            gain, fit = spread(fit.residuals, self.floor) - spread(found.residuals, self.floor), found
-            if gain < LEAST_GAIN:
-                break
-        return self.settle(self.fitter.rescale(fit, self.scatter(fit)))
-
-    def best(self, fit: Fit, places: Array) -> Fit:
-        """The best of a fit's place and others (B, D) by what they leave over."""
-        places = np.vstack([fit.xi, places])
-        costs = [spread(r, self.floor) for r in self.fitter.residuals_at(fit.replay, places)]
-        return self.fitter.start(fit.replay, places[[int(np.argmin(costs))]], fit.scatter)
 
     def scatter(self, fit: Fit) -> Scatter:
         """The scatter of what a fit leaves over."""
@@ -154,6 +113,11 @@ class Court:
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
         return block_test(better.density - base.density, self.block)
+
+
+def noise_of(fit: Fit, sigma: Array, half: Fitter, seed: int) -> Array:
+    """Residuals that noise of the sensors (2 nv,) alone gives, as a fit's model sees it (draws, N, nv, C)."""
+    return noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS)
 
 
 def block_test(gain: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:

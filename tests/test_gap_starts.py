@@ -1,4 +1,4 @@
-"""How far parameters go before they matter, and coordinates in which effects are straight."""
+"""Where fits start, and coordinates in which effects are straight."""
 
 from typing import Any
 
@@ -9,14 +9,11 @@ import pytest
 from nfpde.effects import effect
 from nfpde.gap.fit import Fitter
 from nfpde.gap.noise import learn_scatter
-from nfpde.gap.reach import change, matched, near_neutral, reachable, reaches
 from nfpde.gap.replay import Replay
-from nfpde.gap.search import PATIENCE, search_about
 from nfpde.parameters import Parameter, ParameterSpace
 
 ANYTHING: Any = None
 FITTER = Fitter(ANYTHING, (1, 2))
-NO_FLOOR = np.zeros((2, 4))
 
 ARM = """
 <mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
@@ -25,73 +22,15 @@ ARM = """
 
 
 class Line(Replay):
-    """A replay whose residuals are `start` and `slopes` times its parameters; counts what is asked of it."""
+    """A replay whose residuals are `start` and `slopes` times its parameters."""
 
     effects = ()
 
     def __init__(self, start, slopes, low, high):
         self.start, self.slopes, self.low, self.high = start, np.array(slopes), np.array(low), np.array(high)
-        self.near, self.asked = np.full(len(self.low), np.nan), 0
 
     def residuals(self, xi, windows, horizons, force=None):
-        self.asked += len(xi)
         return self.start + np.einsum("md,dnvc->mnvc", xi, self.slopes)
-
-
-@pytest.fixture
-def own():
-    """Residuals of 50 windows."""
-    return np.random.default_rng(0).normal(size=(50, 2, 4))
-
-
-def test_change_is_counted_in_what_there_is(own):
-    """Residuals that grow by a share of themselves change by that share, in whatever units their channels are."""
-    units = np.array([1e-6, 1.0, 10.0, 1e3])
-    assert change(own * units * np.array([1.0, 1.3, 3.0])[:, None, None, None], own * units, NO_FLOOR) == pytest.approx(
-        [0.0, 0.3, 2.0]
-    )
-
-
-def test_values_are_brought_to_sizes_that_matter(own):
-    """What changes residuals ten thousandfold comes down between the limits, once; what is small stays as it is."""
-    forces = effect("external_force", "link", **{f"force_{a}": (-50.0, 50.0) for a in "xyz"})
-    slopes = [own[::-1] * s for s in (1e4, 1.0, 0.01)]
-    line = Line(own, slopes, [-50.0] * 3, [50.0] * 3)
-    values = np.vstack([20.0 * np.eye(3), 5.0 * np.eye(3)])
-    found = matched(FITTER, line, forces, np.zeros(0), values, own, NO_FLOOR)
-    sizes = change(own + np.einsum("md,dnvc->mnvc", found, np.array(slopes)), own, NO_FLOOR)
-    assert [tuple(np.flatnonzero(row)) for row in found] == [(0,), (1,), (2,), (2,)]
-    assert found[2:] == pytest.approx(values[[2, 5]])  # too weak to need it
-    assert sizes[:2] == pytest.approx(np.sqrt(0.2), rel=1e-6)
-    assert (sizes[2:] < 1).all()
-    assert near_neutral(forces, found) == pytest.approx(np.abs(found).max(0))
-
-
-def test_limits_have_no_size_to_be_matched(own):
-    """A limit does nothing when it is far away: it is neutral nowhere within its bounds, and stays as it is."""
-    limit = effect("torque_limit", "motor", limit=(0.1, 10.0))
-    line = Line(own, [1e4 * own], [0.1], [10.0])
-    values = np.array([[0.5], [5.0]])
-    assert not reachable(limit)
-    assert matched(FITTER, line, limit, np.zeros(0), values, own, NO_FLOOR) is values
-    assert np.isnan(near_neutral(limit, values)).all()
-
-
-def test_reach_of_parameters(own):
-    """Distances at which residuals change noticeably: the steeper slopes the shorter, and never beyond the first."""
-    line = Line(own, [40 * own, 400 * own, 0.1 * own], [-1.0] * 3, [1.0] * 3)
-    found = reaches(FITTER, line, np.zeros(3), 1e-9 * np.ones((2, 4)))
-    # a unit of the chart is a quarter of the bounds, half of 1 here
-    assert found == pytest.approx([np.sqrt(0.2) / 20, np.sqrt(0.2) / 200, 0.2], rel=1e-3)
-
-
-def test_samples_that_gain_nothing_are_given_up(own):
-    """Where nothing changes, samples stop as soon as patience is over."""
-    line = Line(own, [0.0 * own], [0.0], [1.0])
-    fit = FITTER.start(line, np.array([[0.5]]), learn_scatter(own, 0, 1e-3 * np.ones((2, 4))))
-    line.asked = 0
-    search_about(FITTER, fit, 0.1, generations=40)
-    assert line.asked == 1 + 8 * PATIENCE
 
 
 def test_parameters_give_back_what_they_stood_in_for():

@@ -1,0 +1,50 @@
+"""Short windows, for robots whose contacts make long ones useless to fit: an error soon decides what touches what.
+
+A fit over long windows has to cross as many jumps as there are contacts that open or close; over a single step next to
+none (multiple shooting with the shortest intervals: Bock, 1983). What noise takes from a short window their number
+gives back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nfpde.dataset import Windows
+from nfpde.gap.recordings import Recordings, blocks_of
+
+LENGTHS = 3
+"""Lengths of short windows, shortest first: the shortest of the horizons at which long windows are compared."""
+
+MOST = 400
+"""Windows of one control step in each half, at most; of h steps fewer by the root of h."""
+
+
+def brief(recordings: Recordings) -> list[Recordings]:
+    """The same recordings in short windows, shortest first; none where no horizon is shorter than the windows."""
+    found = []
+    for count in range(1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
+        horizons = recordings.horizons[:count]
+        most = max(1, round(MOST / horizons[-1] ** 0.5))
+        fit, held = (shorter(half, horizons[-1], most) for half in (recordings.fit, recordings.held))
+        found.append(replace(recordings, fit=fit, held=held, horizons=horizons, block=blocks_of(held)))
+    return found
+
+
+def shorter(windows: Windows, steps: int, most: int) -> Windows:
+    """Windows of fewer steps, one after the other in each of the given ones, at most so many evenly over all."""
+    count = windows.horizon // steps
+    at = np.arange(count) * steps
+    ctrl = np.concatenate([windows.history, windows.ctrl], axis=1)
+    known = windows.nhistory
+    parts = {
+        "state": np.stack([windows.state[:, a : a + steps + 1] for a in at], axis=1),
+        "ctrl": np.stack([windows.ctrl[:, a : a + steps] for a in at], axis=1),
+        "history": np.stack([ctrl[:, a : a + known] for a in at], axis=1),
+        "episode": np.repeat(windows.episode[:, None], count, axis=1),
+        "row": windows.row[:, None] + at,
+    }
+    total = len(windows) * count
+    some = np.unique(np.linspace(0, total - 1, min(most, total)).round().astype(int))
+    return replace(windows, **{name: part.reshape(total, *part.shape[2:])[some] for name, part in parts.items()})

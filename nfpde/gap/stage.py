@@ -1,0 +1,120 @@
+"""Recordings cut to windows of one length, the fit of the parameters alone, and what judges effects on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.levels import CAPPED, Yardstick, calm
+from nfpde.gap.loud import loudness
+from nfpde.gap.noise import floor_of, learn_scatter
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.replay import Replay
+from nfpde.gap.sensors import sensor_noise
+from nfpde.gap.trial import Court, Trial, noise_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What a diagnosis works with on windows of one length.
+
+    recordings: the windows
+    nominal: held-out residuals of the nominal model (N, nv, C)
+    base: the parameters fitted, without effects
+    court: fits and judges
+    yardstick: measures the gap
+    sigma: noise of the sensors (2 nv,)
+    """
+
+    recordings: Recordings
+    nominal: Array
+    base: Trial
+    court: Court
+    yardstick: Yardstick
+    sigma: Array
+
+    def shown(self, trial: Trial, *, refitted: bool) -> Trial:
+        """A trial of windows of another length on these.
+
+        Args:
+            trial: Its free parameters count.
+            refitted: Whether they are fitted to these windows too, where that leaves less over.
+        """
+        court, replay = self.court, trial.fit.replay
+        fit = court.fitter.start(replay, trial.fit.xi[None], self.base.fit.scatter)
+        fit = court.fitter.rescale(fit, court.scatter(fit))
+        if refitted:
+            fit = min((fit, court.settle(fit)), key=lambda f: float(self.yardstick.gap(f.residuals).mean()))
+        return court.judge(trial.effect, court.fitter.linearise(fit))
+
+
+def first_fit(start: Replay, recordings: Recordings, guesses: Array, *, capped: bool) -> tuple[Trial, Court]:
+    """The fit of the parameters alone, and the court that judges effects, before the noise of windows is known.
+
+    Args:
+        start: The nominal model with its free parameters.
+        recordings: The windows.
+        guesses: Free parameters to start from, the nominal ones first (G, D).
+        capped: Whether contacts make a few residuals so large that they would outweigh all others.
+    """
+    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
+    moved = _moved(start, recordings)
+    first = fitter.residuals_at(start, guesses[:1])[0]
+    scatter = learn_scatter(first, 0, floor_of(first, moved))
+    fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
+    share = CAPPED if capped else 0.0
+    court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], share)
+    fit = court.settle(fit, rounds=1, iterations=5)
+    court = replace(court, floor=floor_of(fit.residuals, moved))
+    return _judged(court.settle(fit, rounds=1, iterations=5), court, moved)
+
+
+def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
+    """The base fitted to other halves of the recordings, from where it was."""
+    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
+    fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
+    court = replace(court, block=recordings.block, fitter=fitter, held=held)
+    return _judged(court.settle(fit), court, _moved(fit.replay, recordings))
+
+
+def gaps(base: Trial, court: Court) -> Array:
+    """What a base leaves in every window, those to fit first (N,)."""
+    white = base.fit.scatter.whiten(np.concatenate([base.fit.residuals, base.held]))
+    return calm(white**2, court.capped).mean((1, 2))
+
+
+def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> Stage:
+    """Residuals counted in how loud noise is in each window, and the parameters fitted once more."""
+    sigma = sensor_noise(base.fit.replay, base.fit.xi, recordings.rows)
+    fit, held = (noise_of(base.fit, sigma, half, seed) for half in (court.fitter, court.held))
+    left = np.concatenate([base.fit.residuals, base.held])
+    loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
+    fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
+    other = replace(court.held, loudness=loud[fit.shape[1] :])
+    found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
+    floor = floor_of(found.residuals, _moved(found.replay, recordings))
+    quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
+    court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
+    found = fitter.linearise(court.settle(fitter.rescale(found, court.scatter(found))))
+    base = court.judge(None, found)
+    nominal = other.residuals_at(found.replay, court.nominal[None])[0]
+    return Stage(recordings, nominal, base, court, Yardstick.of(held / other.scale, base.held, court.capped), sigma)
+
+
+def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
+    """A fit of the parameters as the base, and the court with the floor that it leaves."""
+    court = replace(court, floor=floor_of(fit.residuals, moved))
+    fit = court.fitter.linearise(court.fitter.rescale(fit, court.scatter(fit)))
+    return court.judge(None, fit), court
+
+
+def _moved(start: Replay, recordings: Recordings) -> Array:
+    """By how much the channels change over the horizons, as residuals (N, nv, C)."""
+    steps = np.array(recordings.horizons) - 1
+    windows = recordings.fit
+    return start.by_dof(start.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
