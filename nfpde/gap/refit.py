@@ -18,9 +18,12 @@ Array = NDArray[np.float64]
 GUESSES = 3
 """Guesses of a candidate's values that are left of all after a look at them on `GLANCED` windows."""
 
-LOOKS, CONTACT_LOOKS = 16, 512
-"""Values looked at for a guess, for each parameter of an effect; and for what contacts do in all: a floor a little
-higher or lower than it is explains nothing."""
+LOOKS = 16
+"""Values looked at for a guess, for each parameter of an effect."""
+
+CONTACT_LOOKS, CLOSER_LOOKS, CLOSER = 128, 32, (1 / 16, 1 / 256)
+"""The same in all for what contacts do, then closer and closer about each of the best: a floor only a little higher or
+lower than it is explains nothing. Shares of the bounds that are looked at then."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
@@ -97,8 +100,12 @@ class Refitting:
         starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in (base.xi, straight)]
         guesses = np.concatenate(starts)
         # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
-        looks = CONTACT_LOOKS if screened.effect.whole == "contact" else LOOKS * values.shape[1]
+        contact = screened.effect.whole == "contact"
+        looks = CONTACT_LOOKS if contact else LOOKS * values.shape[1]
         guesses = np.concatenate([guesses, all_over(replay, index, base.xi, looks)])
+        for share in CLOSER if contact else ():
+            best = self._few.best(replay, guesses, by, GUESSES, self._few_part)
+            guesses = np.concatenate([best, *(all_over(replay, index, xi, CLOSER_LOOKS, share) for xi in best)])
         # an effect whose part the parameters have played can be worse than none until they give it back
         guesses = self._few.best(replay, guesses, by, GUESSES, self._few_part)
         fit = self._some.start(replay, guesses, by)

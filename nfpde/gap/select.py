@@ -194,8 +194,10 @@ class Selection:
             return replays[-1]
 
         if len(open_ones) > MANY:
-            glanced = self._screen(base, open_ones, replay_with, GLANCED)[:MANY]
-            open_ones = [(s.effect, s.values) for s in glanced]
+            glanced = self._screen(base, open_ones, replay_with, GLANCED)
+            # what contacts do is searched for anyway, see `refit`
+            kept = glanced[:MANY] + [s for s in glanced[MANY:] if s.effect.whole == "contact"]
+            open_ones = [(s.effect, s.values) for s in kept]
         screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = refit(self.court, base, screened)
@@ -264,8 +266,9 @@ class Selection:
         """
         if self.sigma is None:
             return untold
-        more, removed = self._whole_gap(trial) - self._whole_gap(best), gap - self._whole_gap(best)
-        return more <= FLOOR_ERROR or (untold and more <= (1 - CLOSED) * removed)
+        left = self._whole_gap(best)
+        more = self._whole_gap(trial) - left
+        return more <= FLOOR_ERROR * max(left, 1.0) or (untold and more <= (1 - CLOSED) * (gap - left))
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
@@ -281,8 +284,11 @@ class Selection:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]
             replaced, new = found
             if key(new.effect) != key(accepted[index].effect):
-                better = block_test(replaced.density - current.density, self.court.block)
-                if better[2] > APART:
+                gain = replaced.density - current.density
+                if block_test(gain, self.court.block)[2] > APART:
+                    if block_test(-gain, self.court.block)[2] > APART:
+                        accepted = [*accepted]
+                        accepted[index] = _with_rival(accepted[index], replaced)
                     continue
             # the replacement stands last among the effects now: keep both lists in one order
             accepted = [a for i, a in enumerate(accepted) if i != index] + [new]
@@ -295,6 +301,16 @@ class Selection:
     def _count(self, replay: Replay) -> None:
         self.steps += replay.sim.simulated_steps
         replay.sim.simulated_steps = 0
+
+
+def _with_rival(accepted: Accepted, trial: Trial) -> Accepted:
+    """An accepted effect that another cannot be told from."""
+    if any(
+        trial.effect is not None and t.effect is not None and key(t.effect) == key(trial.effect)
+        for t in accepted.rivals
+    ):
+        return accepted
+    return replace(accepted, rivals=(*accepted.rivals, trial))
 
 
 def key(effect: Effect) -> tuple[str, str]:
