@@ -332,6 +332,30 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     assert Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4))._at_floor(left)
 
 
+@pytest.mark.parametrize(
+    ("size", "behind", "contacts", "equal"),
+    [(1.02, 3.0, True, True), (1.02, 3.0, False, False), (1.8, 1e-4, True, False), (1.8, 1e-4, False, True)],
+)
+def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contacts, equal):
+    """Who leaves as little as the best is its equal whatever the density says, who leaves much more is not."""
+    rng = np.random.default_rng(12)
+    noise = rng.normal(size=(40, 2, 4))
+    noise /= np.sqrt((noise**2).mean())
+    one, other = (
+        effect(n, "elbow", **q)
+        for n, q in (("coulomb_friction", {"torque": (0, 1)}), ("armature", {"inertia": (0, 1)}))
+    )
+    density = rng.uniform(9, 11, 40)
+    trials = [trial(one, density, noise), trial(other, density - behind - 1e-6 * rng.normal(size=40), size * noise)]
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
+    selection = Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4) if contacts else None)
+    found = selection._accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
+    assert found is not None
+    assert found[1].effect is one
+    assert (trials[1] in found[1].rivals) is equal
+
+
 def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     """Where most density is gained in one block alone, the candidate that gains in every block is accepted."""
     rng = np.random.default_rng(10)

@@ -139,8 +139,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     court = near.court
     left_over = final if near is outcome.stage else near.shown(final, refitted=False)
     # what noise alone leaves, so that a gap that remains does not hide itself
-    sound = outcome.yardstick.noise if near is outcome.stage else near.yardstick.noise
-    noise = sound.reshape(-1, *left_over.held.shape[1:])
+    noise = near.yardstick.noise.reshape(-1, *left_over.held.shape[1:])
     quiet = learn_scatter(noise, 0, QUIET * court.floor)
     halves = (court.fitter, court.held)
     # both halves: where the gap lies is no matter of proof, and an effect may show in few windows

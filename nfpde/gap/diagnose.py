@@ -20,10 +20,10 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
-from nfpde.gap.select import Accepted, Selection
+from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.stage import Stage, first_fit, gaps, in_noise, moved_over
-from nfpde.gap.trial import Trial, noise_of
+from nfpde.gap.trial import noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
 
@@ -76,33 +76,27 @@ def diagnose_gap(
     check_fit(start, recordings, guesses[0])
     touches = any(e.whole == "contact" for e, _ in candidates)
     report("fitting the parameters")
-    base, court = first_fit(start, _lengths(recordings, touches)[0], guesses, capped=touches)
-    held = alike_halves(_lengths(recordings, touches)[0], gaps(base, court), seed)
+    lengths = _lengths(recordings, touches)
+    base, court = first_fit(start, lengths[0], guesses, capped=touches)
+    held = alike_halves(lengths[0], gaps(base, court), seed)
     if held is not None:
         recordings = cut_recordings(dataset, history, seed, windows, lead, held)
-        base, court = moved_over(base, court, _lengths(recordings, touches)[0])
-    selection: Selection | None = None
-    stage: Stage | None = None
-    found: tuple[Trial, list[Accepted]] | None = None
-    for part in _lengths(recordings, touches):
-        report("noise of the sensors")
-        if stage is not None:
-            guesses = np.vstack([guesses[:2], base.fit.xi])
-            base, court = first_fit(start, part, guesses, capped=touches)
-        stage = in_noise(base, court, part, seed)
-        base = stage.base
-        if selection is None:
-            selection = Selection(mjmodel, space, nthread, stage.court, stage.yardstick, candidates, report, device)
-        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
-        selection.sigma = stage.sigma if touches else None
-        found = selection.run(base, found)
-    if selection is None or stage is None or found is None:
-        raise RuntimeError("there are no windows of any length")
+        lengths = _lengths(recordings, touches)
+        base, court = moved_over(base, court, lengths[0])
+    report("noise of the sensors")
+    near = in_noise(base, court, lengths[0], seed)
+    selection = Selection(mjmodel, space, nthread, near.court, near.yardstick, candidates, report, device)
+    selection.sigma = near.sigma if touches else None
+    final, accepted = selection.run(near.base)
+    for longer in lengths[1:]:
+        report("longer windows")
+        near = _stage_after(near, longer, guesses, seed)
+        selection = replace(selection, court=near.court, yardstick=near.yardstick, sigma=near.sigma)
+        final, accepted = selection.run(near.base, (final, accepted))
     report("where, and what is left")
-    near, (final, accepted) = stage, found
-    if touches and len(near.recordings.horizons) < len(recordings.horizons):
-        base, court = first_fit(start, recordings, np.vstack([guesses[:2], base.fit.xi]), capped=True)
-        stage = in_noise(base, court, recordings, seed)
+    stage = near
+    if lengths[-1] is not recordings:
+        stage = _stage_after(near, recordings, guesses, seed)
         selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
         final = stage.shown(final, refitted=True) if accepted else stage.base
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
@@ -117,6 +111,13 @@ def diagnose_gap(
 def _lengths(recordings: Recordings, touches: bool) -> list[Recordings]:
     """The recordings in windows of the lengths that are fitted, shortest first."""
     return (brief(recordings) if touches else []) or [recordings]
+
+
+def _stage_after(before: Stage, longer: Recordings, guesses: Array, seed: int) -> Stage:
+    """The stage of longer windows, its base fitted from guesses (G, D) and from the base of the shorter ones."""
+    fit = before.base.fit
+    base, court = first_fit(fit.replay, longer, np.vstack([guesses, fit.xi]), capped=True)
+    return in_noise(base, court, longer, seed)
 
 
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:

@@ -41,7 +41,7 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
         screened: Candidates, best first.
     """
     refitting, found = Refitting(court, base), list[tuple[float, Screened, Fit]]()
-    for s in sorted(_hopeful(screened, FIRST), key=lambda s: s.effect.whole == "contact"):
+    for s in _hopeful(screened, FIRST):
         fits = refitting.rough(s)
         gain, best = max((base.cost - fit.cost, i) for i, fit in enumerate(fits))
         if gain > LEAST_GAIN:
