@@ -106,3 +106,17 @@ def test_loads_together_have_their_mass_and_centre():
     expected_mass, expected_centre = carrying(values[0], [0.15, *values[1, 1:]])
     assert mass == pytest.approx(expected_mass)
     assert centre == pytest.approx(expected_centre)
+
+
+def test_coordinates_of_a_spring_are_those_its_torque_is_linear_in():
+    """There and back again, and the sum of two springs in one: the same torque everywhere."""
+    spring = effect("joint_spring", "hinge", stiffness=(0.0, 10.0), rest=(-2.0, 1.0))
+    values = np.array([[3.0, -1.2], [0.5, 0.9], [10.0, -2.0]])
+    assert spring.bent(spring.straightened(values)) == pytest.approx(values)
+    low, high = spring.straight_bounds()
+    assert ((spring.straightened(values) >= low) & (spring.straightened(values) <= high)).all()
+    shares, q = np.array([0.5, 1.0, 0.2]), np.linspace(-2, 2, 9)
+    stiffness, rest = spring.together(values, shares)
+    expected = (shares * values[:, 0]) @ (values[:, 1:] - q)
+    assert stiffness * (rest - q) == pytest.approx(expected)
+    assert spring.bent(np.array([0.0, 0.0])) == pytest.approx([0.0, -0.5])  # no spring rests in the middle

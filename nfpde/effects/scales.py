@@ -18,9 +18,10 @@ _ROWS = 2000
 
 @dataclass(frozen=True, eq=False)
 class DataScales:
-    """Typical magnitudes, root mean squares over recordings; each positive.
+    """Typical magnitudes, root mean squares over recordings; each positive but `middle`.
 
     control_dt: control step [s]
+    middle: mean position of each degree of freedom, from qpos0 (nv,); of any sign
     position: distance from the mean position of each degree of freedom (nv,)
     speed: of each degree of freedom (nv,)
     acceleration: of each degree of freedom (nv,)
@@ -32,6 +33,7 @@ class DataScales:
     """
 
     control_dt: float
+    middle: Array
     position: Array
     speed: Array
     acceleration: Array
@@ -74,6 +76,7 @@ class DataScales:
         ctrl = np.concatenate(commands)
         return cls(
             control_dt=dataset.control_dt,
+            middle=np.mean(positions, axis=0),
             position=_positive(np.std(positions, axis=0)),
             speed=_positive(_rms(np.concatenate(speeds))),
             acceleration=_positive(_rms(np.array(accelerations))),
