@@ -6,7 +6,8 @@ from typing import ClassVar, Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
+from nfpde.effects.effect import Array, Bounds, Quantity, Rows, World
+from nfpde.effects.lever import Lever
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
@@ -14,7 +15,7 @@ from nfpde.errors import BadEffect
 
 
 @register
-class JointSpring(Effect):
+class JointSpring(Lever):
     """A torque towards a rest position: stiffness (rest - q).
 
     It adds to a spring of the model, whose rest position may be another; so it is a force, not `jnt_stiffness`.
@@ -62,36 +63,6 @@ class JointSpring(Effect):
         stiffness, rest = self.parameters
         middle, reach = 0.5 * (rest.low + rest.high), 0.5 * (rest.high - rest.low)
         return np.array([[k * stiffness.high, middle + r * reach] for k in (0.03, 0.2) for r in (-0.6, 0.0, 0.6)])
-
-    def together(self, values: Array, shares: Array) -> Array:
-        """The stiffnesses' sum with its common rest."""
-        return self.bent(shares @ self.straightened(values))
-
-    def straightened(self, values: Array) -> Array:
-        """Stiffness and torque in the middle of the rests [Nm/rad, Nm]: the torque is linear in these.
-
-        Along soft springs whose rest is far and stiff ones whose rest is near the torque is much the same: in stiffness
-        and rest a curved valley.
-        """
-        middle, _ = self._rests()
-        return np.stack([values[..., 0], values[..., 0] * (values[..., 1] - middle)], axis=-1)
-
-    def bent(self, coordinates: Array) -> Array:
-        """Stiffness and rest; a torque that no rest within the bounds gives is brought down to one that does."""
-        middle, far = self._rests()
-        stiffness, torque = coordinates[..., 0], coordinates[..., 1]
-        away = np.divide(torque, stiffness, out=np.zeros_like(torque), where=stiffness > 0)
-        return np.stack([stiffness, middle + np.clip(away, -far, far)], axis=-1)
-
-    def straight_bounds(self) -> tuple[Array, Array]:
-        """Every stiffness, and the torques of the greatest."""
-        stiffness, (_, far) = self.parameters[0], self._rests()
-        return np.array([stiffness.low, -stiffness.high * far]), np.array([stiffness.high, stiffness.high * far])
-
-    def _rests(self) -> tuple[float, float]:
-        """Middle and half width of the rests."""
-        rest = self.parameters[1]
-        return 0.5 * (rest.low + rest.high), 0.5 * (rest.high - rest.low)
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Pull towards the rest position."""

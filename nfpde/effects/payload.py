@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from nfpde.effects.bodies import is_simple, moves, reach
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.effect import Array, Bounds, Quantity
+from nfpde.effects.lever import Lever
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 
@@ -15,7 +16,7 @@ _NOWHERE = 1e-9
 
 
 @register
-class Payload(Effect):
+class Payload(Lever):
     """A point mass fixed to a body, at a position in the body's frame: mass, centre and inertia follow."""
 
     name = "payload"
@@ -50,37 +51,6 @@ class Payload(Effect):
         return np.array(
             [[0.02 * mass, *middle], *([0.05 * mass, *(middle + s * side)] for side in sides for s in (1, -1))]
         )
-
-    def together(self, values: Array, shares: Array) -> Array:
-        """The masses' sum at their common centre."""
-        return self.bent(shares @ self.straightened(values))
-
-    def straightened(self, values: Array) -> Array:
-        """Mass and first moment about the middle of the positions [kg, kg m]: gravity and inertia know no others.
-
-        Along light masses far out and heavy masses close by the moment is the same: in mass and position a curved
-        valley.
-        """
-        middle, _ = self._box()
-        return np.concatenate([values[..., :1], values[..., :1] * (values[..., 1:] - middle)], axis=-1)
-
-    def bent(self, coordinates: Array) -> Array:
-        """Mass and position; a moment that no position within the bounds gives is brought down to one that does."""
-        middle, far = self._box()
-        mass = coordinates[..., :1]
-        position = np.divide(coordinates[..., 1:], mass, out=np.zeros_like(coordinates[..., 1:]), where=mass > 0)
-        return np.concatenate([mass, middle + np.clip(position, -far, far)], axis=-1)
-
-    def straight_bounds(self) -> tuple[Array, Array]:
-        """Every mass, and the moments of the heaviest."""
-        _, far = self._box()
-        mass = self.parameters[0]
-        return np.array([mass.low, *(-mass.high * far)]), np.array([mass.high, *(mass.high * far)])
-
-    def _box(self) -> tuple[Array, Array]:
-        """Middle and half widths of the positions (3,)."""
-        low, high = (np.array([getattr(p, side) for p in self.parameters[1:]]) for side in ("low", "high"))
-        return 0.5 * (low + high), 0.5 * (high - low)
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Add the mass; the parallel-axis theorem moves the inertia to the new centre."""

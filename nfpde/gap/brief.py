@@ -36,12 +36,11 @@ def shorter(windows: Windows, steps: int, most: int) -> Windows:
     """Windows of fewer steps, one after the other in each of the given ones, at most so many evenly over all."""
     count = windows.horizon // steps
     at = np.arange(count) * steps
-    ctrl = np.concatenate([windows.history, windows.ctrl], axis=1)
-    known = windows.nhistory
+    commands, known = np.concatenate([windows.history, windows.ctrl], axis=1), windows.nhistory
     parts = {
         "state": np.stack([windows.state[:, a : a + steps + 1] for a in at], axis=1),
         "ctrl": np.stack([windows.ctrl[:, a : a + steps] for a in at], axis=1),
-        "history": np.stack([ctrl[:, a : a + known] for a in at], axis=1),
+        "history": np.stack([commands[:, a : a + known] for a in at], axis=1),
         "episode": np.repeat(windows.episode[:, None], count, axis=1),
         "row": windows.row[:, None] + at,
     }

@@ -67,25 +67,23 @@ class Chart:
 
 
 def all_over(replay: Replay, index: int, xi: Array, count: int, share: float = 1.0) -> Array:
-    """Guesses (count, D) with values of an effect all over its bounds, or a share of them about its own.
+    """Guesses (count, D) with values of an effect all over its bounds, or over a share of them about its own.
 
     Args:
         replay: The effect is one of its.
         index: Which.
-        xi: The other parameters (D - P,), or all of them (D,) with the values in the middle of the share.
+        xi: Free parameters (D,); those of the effect are the middle of a share.
         count: How many.
         share: Of the bounds' width, in the chart's coordinates.
     """
     chart, columns = Chart(replay), np.arange(replay.nfree)[replay.columns(index)]
     others = np.setdiff1d(np.arange(replay.nfree), columns)
-    full = np.zeros(replay.nfree)
-    full[others if len(xi) < replay.nfree else slice(None)] = xi
     low, high = chart.low[columns], chart.high[columns]
-    middle = chart.inward(full)[columns] if len(xi) == replay.nfree else 0.5 * (low + high)
+    middle = chart.inward(xi)[columns] if share < 1 else 0.5 * (low + high)
     at = np.zeros((count, replay.nfree))
     at[:, columns] = np.clip(middle + share * (high - low) * (_even(count, len(columns)) - 0.5), low, high)
     found = chart.outward(at)
-    found[:, others] = full[others]
+    found[:, others] = xi[others]
     return found
 
 

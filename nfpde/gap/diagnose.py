@@ -85,8 +85,8 @@ def diagnose_gap(
         base, court = moved_over(base, court, lengths[0])
     report("noise of the sensors")
     near = in_noise(base, court, lengths[0], seed)
-    selection = Selection(mjmodel, space, nthread, near.court, near.yardstick, candidates, report, device)
-    selection.sigma = near.sigma if touches else None
+    sigma = near.sigma if touches else None
+    selection = Selection(mjmodel, space, nthread, near.court, near.yardstick, candidates, report, device, sigma=sigma)
     final, accepted = selection.run(near.base)
     for longer in lengths[1:]:
         report("longer windows")

@@ -102,7 +102,7 @@ class Refitting:
         # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
         contact = screened.effect.whole == "contact"
         looks = CONTACT_LOOKS if contact else LOOKS * values.shape[1]
-        guesses = np.concatenate([guesses, all_over(replay, index, base.xi, looks)])
+        guesses = np.concatenate([guesses, all_over(replay, index, guesses[0], looks)])
         for share in CLOSER if contact else ():
             best = self._few.best(replay, guesses, by, GUESSES, self._few_part)
             guesses = np.concatenate([best, *(all_over(replay, index, xi, CLOSER_LOOKS, share) for xi in best)])

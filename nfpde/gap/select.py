@@ -111,7 +111,7 @@ class Selection:
             if found is None:
                 break
             current, new = found
-            current = self._converged(current)
+            current = self._converged(current.fit)
             accepted.append(new)
             if len(accepted) > 1:
                 current, accepted = self._second_look(current, accepted, first_gap)
@@ -122,7 +122,7 @@ class Selection:
     ) -> tuple[Trial, list[Accepted]]:
         """What was found on shorter windows, fitted to these; what was equal there may be told apart here."""
         fit = self.court.fitter.start(trial.fit.replay, trial.fit.xi[None], base.fit.scatter)
-        current = self._converged(Trial(None, fit, trial.density, trial.held))
+        current = self._converged(fit)
         for asked in list(accepted):  # the one told apart stands last afterwards
             current, accepted = self._told_apart(current, accepted, accepted.index(asked), first_gap)
         return current, accepted
@@ -139,7 +139,7 @@ class Selection:
         if found is None:
             return current, accepted
         current, new = found
-        current, rest = self._converged(current), [a for i, a in enumerate(accepted) if i != index]
+        current, rest = self._converged(current.fit), [a for i, a in enumerate(accepted) if i != index]
         return current, [*rest, replace(new, field=asked.field)]
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
@@ -166,11 +166,11 @@ class Selection:
         """The gap over both halves: an effect may act so seldom that one half shows nothing of it."""
         return float(np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)]).mean())
 
-    def _converged(self, trial: Trial) -> Trial:
-        """The trial fitted to the end, so that the next effect does not make up for what is left of the way."""
-        fit = self.court.converged(trial.fit)
+    def _converged(self, fit: Fit) -> Trial:
+        """A fit brought to its end, so that the next effect does not make up for what is left of the way."""
+        fit = self.court.converged(fit)
         self._count(fit.replay)
-        return self.court.judge(trial.effect, fit)
+        return self.court.judge(None, fit)
 
     def without(self, trial: Trial, index: int) -> Trial:
         """The trial without one of its effects, refitted."""
@@ -287,8 +287,7 @@ class Selection:
                 gain = replaced.density - current.density
                 if block_test(gain, self.court.block)[2] > APART:
                     if block_test(-gain, self.court.block)[2] > APART:
-                        accepted = [*accepted]
-                        accepted[index] = _with_rival(accepted[index], replaced)
+                        accepted = [_with_rival(a, replaced) if i == index else a for i, a in enumerate(accepted)]
                     continue
             # the replacement stands last among the effects now: keep both lists in one order
             accepted = [a for i, a in enumerate(accepted) if i != index] + [new]
@@ -305,12 +304,9 @@ class Selection:
 
 def _with_rival(accepted: Accepted, trial: Trial) -> Accepted:
     """An accepted effect that another cannot be told from."""
-    if any(
-        trial.effect is not None and t.effect is not None and key(t.effect) == key(trial.effect)
-        for t in accepted.rivals
-    ):
-        return accepted
-    return replace(accepted, rivals=(*accepted.rivals, trial))
+    known = {key(t.effect) for t in accepted.rivals if t.effect is not None}
+    new = trial.effect is not None and key(trial.effect) not in known
+    return replace(accepted, rivals=(*accepted.rivals, trial)) if new else accepted
 
 
 def key(effect: Effect) -> tuple[str, str]:
