@@ -1,5 +1,6 @@
 """What WarpSimulator refuses: each error names the thing and what to do."""
 
+import warnings
 from typing import Any
 
 import mujoco
@@ -8,7 +9,7 @@ import pytest
 
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import Whitening, make_simulator, warp, warp_device
+from nfpde.sim import Whitening, make_simulator, warp, warp_device, warp_model
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_batch import WarpBatch
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
@@ -64,6 +65,35 @@ def test_sizes_that_warp_lacks():
     with pytest.raises(BadModel, match=r"cannot run this model: Dense is unsupported.* device='cpu'") as refused:
         WarpSimulator(model, space, device="warp-cpu", check_influence=False)
     assert isinstance(refused.value.__cause__, ValueError)
+
+
+def test_what_warp_computes_otherwise(monkeypatch):
+    """A warning that results will not be MuJoCo's is no result: its own words, and what to do."""
+
+    def put_model(model):
+        warnings.warn("Bending damping is not yet supported.", stacklevel=1)
+
+    monkeypatch.setattr(warp_model.mjw, "put_model", put_model)
+    monkeypatch.setattr(warp_model, "_LAST", {})
+    with pytest.raises(BadModel, match=r"cannot run this model: Bending damping is not yet .* device='cpu'"):
+        pendulum()
+
+
+def test_floors_without_friction():
+    """What slides on ice is simulated as MuJoCo does, which gives every contact the least friction there is."""
+    ice = """
+    <mujoco><default><geom friction="0 0 0"/></default><worldbody>
+      <geom type="plane" size="1 1 1"/>
+      <body name="puck" pos="0 0 .1"><joint name="x" type="slide" axis="1 0 0"/>
+        <joint name="z" type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body>
+    </worldbody></mujoco>"""
+    space = ParameterSpace([Parameter("dof_damping", "x", 0.0, 1.0)])
+    windows = make_windows(load(ice), n=4, horizon=5, spread=0.01, speed=0.1)
+    there = [
+        make_simulator(load(ice), space, device=device, check_influence=False).predict([[0.5]], windows)
+        for device in ("cpu", "warp-cpu")
+    ]
+    assert there[1] == pytest.approx(there[0], abs=1e-4)  # single precision
 
 
 def test_a_field_that_all_worlds_share():

@@ -234,13 +234,17 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
             "MuJoCo Warp cannot run this model: its actuators of type user call functions on the host. Give them "
             "another gaintype and biastype, or use device='cpu'"
         )
+    model = copy.copy(model)
+    for friction in (model.geom_friction, model.pair_friction):  # MuJoCo does so in every contact, MuJoCo Warp not
+        np.maximum(friction, mujoco.mjMINMU, out=friction)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            warnings.simplefilter("error", UserWarning)
             return mjw.put_model(model)
-    except (NotImplementedError, ValueError) as error:
-        # it refuses features by the one, and sizes and combinations of options by the other; the model is all it is
-        # given, so either is about the model, and the cause stays attached
+    except (NotImplementedError, ValueError, UserWarning) as error:
+        # it refuses features by the one, and sizes and combinations of options by the other, and warns of what it
+        # computes otherwise; the model is all it is given, so each is about the model, and the cause stays attached
         raise BadModel(
             f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "
             "device='cpu'"
