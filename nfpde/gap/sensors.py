@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.gap.grain import encoder_grain
 from nfpde.gap.replay import Replay, started_beside
 
 Array = NDArray[np.float64]
@@ -22,11 +22,6 @@ _MOST, _MEAN = 4.0, 0.9205
 (chi-square with one degree of freedom)."""
 
 _ROUNDS = 200
-
-_LEAST_STEPS, _OFTEN, _PARTS, _WHOLE, _SAME = 8, 10, 3, 1e-2, 1e-9
-"""Steps between neighbouring readings from which a grain is told, at least, or how often each reading occurs; parts of
-the shortest step that are tried; how near to whole multiples steps are, and what differs by less than this share of
-the range is one reading."""
 
 
 def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
@@ -44,35 +39,10 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
         rows: Windows of one control step, many of them in succession.
     """
     grain = encoder_grain(replay.sim.model, rows) / np.sqrt(12.0)
-    return np.maximum(_scatter(replay, xi, rows), grain)
+    return np.maximum(_varying_noise(replay, xi, rows), grain)
 
 
-def encoder_grain(model: mujoco.MjModel, rows: Windows) -> Array:
-    """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one."""
-    grain, read = np.zeros(2 * model.nv), rows.state[:, 0]
-    for dof, joint in enumerate(model.dof_jntid):
-        if model.jnt_type[joint] >= int(mujoco.mjtJoint.mjJNT_SLIDE):  # slides and hinges
-            grain[dof] = _step(read[:, model.jnt_qposadr[joint]])
-        grain[model.nv + dof] = _step(read[:, model.nq + dof])
-    return grain
-
-
-def _step(values: Array) -> float:
-    """What values (n,) are multiples of, give or take a constant; zero if nothing."""
-    apart = np.diff(np.unique(values))
-    apart = apart[apart > _SAME * np.ptp(values)] if len(apart) else apart
-    few = len(apart) < len(values) / _OFTEN  # a robot at rest shows few readings, each of them often
-    if not len(apart) or (len(apart) < _LEAST_STEPS and not few):
-        return 0.0
-    shares = apart / apart.min()
-    # a step may never occur alone: steps of two and three grains have a grain of half the shorter
-    for part in range(1, _PARTS + 1):
-        if np.abs(shares * part - np.round(shares * part)).max() < _WHOLE * part:
-            return float(apart.min()) / part
-    return 0.0
-
-
-def _scatter(replay: Replay, xi: Array, rows: Windows) -> Array:
+def _varying_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
     """Noise that differs from row to row (2 nv,)."""
     states = replay.sim.states
     there = replay.predict(xi[None], rows)[0]

@@ -237,18 +237,25 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
     model = copy.copy(model)
     for friction in (model.geom_friction, model.pair_friction):  # MuJoCo does so in every contact, MuJoCo Warp not
         np.maximum(friction, mujoco.mjMINMU, out=friction)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", UserWarning)
-            return mjw.put_model(model)
-    except (NotImplementedError, ValueError, UserWarning) as error:
-        # it refuses features by the one, and sizes and combinations of options by the other, and warns of what it
-        # computes otherwise; the model is all it is given, so each is about the model, and the cause stays attached
-        raise BadModel(
-            f"MuJoCo Warp cannot run this model: {' '.join(str(error).split())} Change that in the model, or use "
-            "device='cpu'"
-        ) from error
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            put = mjw.put_model(model)
+        except (NotImplementedError, ValueError) as error:
+            # it refuses features by the one, and sizes and combinations of options by the other; the model is all it
+            # is given, so either is about the model, and the cause stays attached
+            raise _refused(error) from error
+    for warning in told:
+        if issubclass(warning.category, UserWarning):  # of what it computes otherwise than MuJoCo
+            raise _refused(warning.message)
+    return put
+
+
+def _refused(reason: Exception | str) -> BadModel:
+    return BadModel(
+        f"MuJoCo Warp cannot run this model: {' '.join(str(reason).split())} Change that in the model, or use "
+        "device='cpu'"
+    )
 
 
 def _floats(array: wp.array, size: int) -> wp.array:
