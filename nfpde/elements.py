@@ -88,6 +88,11 @@ def is_axis(model: mujoco.MjModel, joint: int) -> bool:
     return 0 <= joint < model.njnt and int(model.jnt_type[joint]) in (2, 3)
 
 
+def is_jointed(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint id is that of a ball, a hinge or a slide: one whose bearing can hold it back."""
+    return 0 <= joint < model.njnt and int(model.jnt_type[joint]) in (1, 2, 3)
+
+
 def joint_dofs(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
     """Degrees of freedom (indices into qvel) of the given joints."""
     return _spread(model, joints, model.jnt_dofadr, DOF_WIDTHS)

@@ -135,7 +135,8 @@ def make_windows(model, n, horizon, *, nsub=1, history=0, seed=0, spread=0.3, sp
 
 def with_arrays(windows, **arrays):
     """A copy with other states, commands or histories."""
-    old = {k: getattr(windows, k) for k in ("state", "ctrl", "history", "control_dt", "nq", "nv", "episode", "row")}
+    names = ("state", "ctrl", "history", "past", "control_dt", "nq", "nv", "episode", "row")
+    old = {name: getattr(windows, name) for name in names}
     return Windows(**(old | arrays))
 
 

@@ -120,7 +120,7 @@ def test_builds_of_a_robot_in_contact(device):
             geom.size[0] *= 1.2
         if geom.name == "floor":
             geom.pos[2] -= 0.01
-    both = [robot.model, spec.compile()]
+    both = [mujoco.MjModel.from_xml_path(str(robot.path)), spec.compile()]
     sim = make_simulator(
         both, ParameterSpace([Parameter("body_mass", "foot", 0.5, 2.0, relative=True), choice(2)]), device=device
     )

@@ -17,7 +17,7 @@ from nfpde.sim.acting import effect_columns
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_device import start_warp
 from nfpde.sim.warp_effects import COMMANDS, SENSORS, STEPS
-from tests.models import DOUBLE_PENDULUM, load, make_windows, record
+from tests.models import DOUBLE_PENDULUM, load, make_windows, record, with_arrays
 
 # Positions and velocities of a few units after 20 physics steps in single precision, friction switching on the way
 TOLERANCE = 5e-5
@@ -82,6 +82,31 @@ def test_kernel_equals_its_twin_with_servos(name):
     expected = sim.reference.predict(xi, windows)
     assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("xml", [DOUBLE_PENDULUM, SERVOS], ids=["motors", "servos"])
+def test_rotors_are_where_the_recording_took_them(xml):
+    """Backlash, behind late commands and beside an encoder that is off, through the recorded motion before windows."""
+    model = load(xml)
+    effects = [
+        effect("actuation_delay", "elbow_motor", delay=(0.0, 0.004)),
+        effect("backlash", "*", width=(0.0, 0.1)),
+        effect("joint_offset", "elbow", offset=(-0.2, 0.2)),
+    ]
+    sim = WarpSimulator(model, None, effects, device="warp-cpu", check_influence=False)
+    data = record(model, 2, 120, 4, amplitude=1.0)
+    windows = data.windows(5, stride=11, history=sim.history_steps(data.control_dt))
+    assert np.isnan(windows.past).any()
+    assert np.isfinite(windows.past).all((1, 2)).any()
+    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), neutral(sim)])
+    expected = sim.reference.predict(xi, windows)
+    blind = sim.reference.predict(xi, with_arrays(windows, past=windows.past[:, :0]))
+    assert np.abs(expected - blind)[:4].max() > 100 * TOLERANCE
+    np.testing.assert_array_equal(expected[4], blind[4])
+    # a tooth that meets one step later in float32 moves the joint by more than rounding does
+    apart = np.abs(sim.predict(xi, windows) - expected).max((2, 3))
+    assert np.median(apart) < TOLERANCE
+    assert (apart < 100 * TOLERANCE).mean() > 0.9
 
 
 @pytest.mark.parametrize(

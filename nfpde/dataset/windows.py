@@ -1,7 +1,7 @@
 """Windows of a few control steps, cut out of episodes for comparison with a simulation."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from nfpde.dataset.arrays import frozen_floats
 from nfpde.dataset.episode import Episode
 from nfpde.errors import BadDataset, BadInput
+
+_NOTHING = np.empty((0, 0, 0))
+_NOTHING.setflags(write=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +24,8 @@ class Windows:
         ctrl: Commands; row h acts from state h to state h+1. Shape (N, H, nu).
         history: The K commands before the start, oldest first; before an episode's first row, where no
             command is known, its first command is repeated. Shape (N, K, nu).
+        past: Measured states of the P rows before the start, oldest first; NaN before an episode's first row. As many
+            as of `history` where windows are cut from recordings, none if not given. Shape (N, P, nq+nv).
         control_dt: Control step [s].
         nq: Number of position columns of `state`.
         nv: Number of velocity columns of `state`.
@@ -38,6 +43,7 @@ class Windows:
     episode: NDArray[np.int64]
     row: NDArray[np.int64]
     skipped_episodes: tuple[int, ...] = ()
+    past: NDArray[np.float64] = field(default_factory=lambda: _NOTHING)
 
     if TYPE_CHECKING:  # what the generated constructor takes: anything that makes an array
 
@@ -52,32 +58,36 @@ class Windows:
             episode: ArrayLike,
             row: ArrayLike,
             skipped_episodes: tuple[int, ...] = (),
+            past: ArrayLike = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        for field in ("state", "ctrl", "history"):
-            object.__setattr__(self, field, frozen_floats(getattr(self, field), f"windows: {field}", 3))
-        for field in ("episode", "row"):
-            object.__setattr__(self, field, _frozen_integers(getattr(self, field), field))
+        for name in ("state", "ctrl", "history"):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"windows: {name}", 3))
+        past = np.empty((len(self.state), 0, self.state.shape[2])) if self.past is _NOTHING else self.past
+        object.__setattr__(self, "past", frozen_floats(past, "windows: past", 3))
+        for name in ("episode", "row"):
+            object.__setattr__(self, name, _frozen_integers(getattr(self, name), name))
         n, rows, nx = self.state.shape
         nu = self.ctrl.shape[2]
         rules = {
             "state": (self.state.shape, (n, max(rows, 2), self.nq + self.nv)),
             "ctrl": (self.ctrl.shape, (n, rows - 1, nu)),
             "history": (self.history.shape, (n, self.history.shape[1], nu)),
+            "past": (self.past.shape, (n, self.past.shape[1], nx)),
             "episode": (self.episode.shape, (n,)),
             "row": (self.row.shape, (n,)),
         }
-        for field, (shape, expected) in rules.items():
+        for name, (shape, expected) in rules.items():
             if shape != expected:
                 raise BadInput(
-                    f"windows: {field} has shape {shape}, expected {expected} beside {n} windows of {rows} "
+                    f"windows: {name} has shape {shape}, expected {expected} beside {n} windows of {rows} "
                     f"states with nq={self.nq}, nv={self.nv} (state has {nx} columns)."
                 )
-        for field in ("state", "ctrl", "history"):
-            if not np.isfinite(getattr(self, field)).all():
-                window = int(np.argwhere(~np.isfinite(getattr(self, field)))[0, 0])
-                raise BadInput(f"windows: {field} of window {window} is not finite.")
+        for name in ("state", "ctrl", "history"):
+            if not np.isfinite(getattr(self, name)).all():
+                window = int(np.argwhere(~np.isfinite(getattr(self, name)))[0, 0])
+                raise BadInput(f"windows: {name} of window {window} is not finite.")
         if not (np.isfinite(self.control_dt) and self.control_dt > 0):
             raise BadInput(f"windows: control_dt is {self.control_dt}; it must be a positive number of seconds.")
 
@@ -101,6 +111,7 @@ class Windows:
             episode=self.episode[index],
             row=self.row[index],
             skipped_episodes=self.skipped_episodes,
+            past=_read_only(self.past[index]),
         )
 
     @property
@@ -187,7 +198,9 @@ def cut_windows(
 
     state = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in episodes])
     ctrl = np.concatenate([e.ctrl for e in episodes])
-    before = np.maximum(row[:, None] + np.arange(-history, 0), 0)
+    earlier = row[:, None] + np.arange(-history, 0)
+    before = np.maximum(earlier, 0)
+    past = np.where(earlier[..., None] >= 0, state[first + before], np.nan)
     return Windows(
         state=_read_only(state[first + row[:, None] + np.arange(horizon + 1)]),
         ctrl=_read_only(ctrl[first + row[:, None] + np.arange(horizon)]),
@@ -198,6 +211,7 @@ def cut_windows(
         episode=episode,
         row=row,
         skipped_episodes=tuple(np.flatnonzero(counts == 0).tolist()),
+        past=_read_only(past),
     )
 
 

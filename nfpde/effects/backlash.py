@@ -17,6 +17,9 @@ from nfpde.errors import BadEffect
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
+_RECALL = 0.2
+"""Time [s] in which a rotor meets an end of its play, whatever it did before: it falls across in some hundredths."""
+
 _ROTOR = 0.1
 """Share of a joint's inertia that its rotor is taken to have where the model gives no armature."""
 
@@ -32,8 +35,9 @@ class Backlash(Effect):
     momentum of both (an impulse of J times the difference of their speeds, in one physics step). A servo measures
     the rotor, which is integrated implicitly in the servo's gains: they may be too stiff for it, not for the joint.
 
-    No recording says where in the play a window starts: the rotor is taken to be at the end where the teeth transmit
-    the torque of the first step. Windows that start while it crosses the play are predicted wrong.
+    No recording says where in the play a window starts: the rotor is taken through the recorded motion before it. Where
+    that is not known (an episode's first rows, windows without `past`), it begins at the end where the teeth transmit
+    the torque of the first step.
     """
 
     name = "backlash"
@@ -69,6 +73,10 @@ class Backlash(Effect):
             raise BadEffect(f"{self.name} on {self.target!r}: two of these actuators drive one joint; target one")
         bound.spare = _ROTOR * model.dof_M0[bound.drives.dofs]
         return bound
+
+    def recall_time(self) -> float:
+        """See `Effect.recall_time`."""
+        return _RECALL
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Couple or uncouple the rotors for this step, and move those that are free to its end.

@@ -3,11 +3,12 @@
 import math
 
 import mujoco
+import numpy as np
 
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
-from nfpde.elements import is_axis
+from nfpde.elements import is_jointed, joint_dofs
 
 
 @register
@@ -22,10 +23,10 @@ class CoulombFriction(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """Up to three times the typical force of a hinge or slide."""
-        return (
-            {"torque": (0.0, 3 * float(scales.force[model.jnt_dofadr[element]]))} if is_axis(model, element) else None
-        )
+        """Up to three times the typical force of a ball, hinge or slide; of a ball, about each of its axes."""
+        if not is_jointed(model, element):
+            return None
+        return {"torque": (0.0, 3 * float(scales.force[joint_dofs(model, np.array([element]))].max()))}
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Add the torque to the friction loss of the joint's degrees of freedom."""

@@ -67,7 +67,8 @@ class World:
       to                                                     (R, nbody, 6)
     fields: model fields an effect named in `step_fields`,
       reset before every step to the row's own, to be changed (R, ...)
-    memory: what an effect keeps from step to step, empty at the start of every window
+    memory: what an effect keeps from step to step, empty at the start of every window and, for an effect that recalls,
+      of the recorded motion before it
     """
 
     model: mujoco.MjModel
@@ -257,6 +258,13 @@ class Effect:
 
     def memory_time(self) -> float:
         """How far back [s] the commands matter, at most, within the bounds of the parameters."""
+        return 0.0
+
+    def recall_time(self) -> float:
+        """How far back [s] `step` is to be taken through the recorded motion, for its memory to be right at the start.
+
+        Forces that it gives there, and fields that it changes, come to nothing.
+        """
         return 0.0
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:

@@ -3,11 +3,12 @@
 import math
 
 import mujoco
+import numpy as np
 
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
-from nfpde.elements import is_axis
+from nfpde.elements import is_jointed, joint_dofs
 
 
 @register
@@ -23,10 +24,11 @@ class ViscousDamping(Effect):
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
         """Down to no damping at all, up to six times the typical force at the typical speed."""
-        if not is_axis(model, element):
+        if not is_jointed(model, element):
             return None
-        dof = model.jnt_dofadr[element]
-        return {"damping": (-float(model.dof_damping[dof]), 6 * float(scales.force[dof] / scales.speed[dof]))}
+        dofs = joint_dofs(model, np.array([element]))
+        typical = float((scales.force[dofs] / scales.speed[dofs]).max())
+        return {"damping": (-float(model.dof_damping[dofs].min()), 6 * typical)}
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Add to the damping of the joint's degrees of freedom."""

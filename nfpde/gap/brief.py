@@ -37,10 +37,12 @@ def shorter(windows: Windows, steps: int, most: int) -> Windows:
     count = windows.horizon // steps
     at = np.arange(count) * steps
     commands, known = np.concatenate([windows.history, windows.ctrl], axis=1), windows.nhistory
+    states, before = np.concatenate([windows.past, windows.state], axis=1), windows.past.shape[1]
     parts = {
         "state": np.stack([windows.state[:, a : a + steps + 1] for a in at], axis=1),
         "ctrl": np.stack([windows.ctrl[:, a : a + steps] for a in at], axis=1),
         "history": np.stack([commands[:, a : a + known] for a in at], axis=1),
+        "past": np.stack([states[:, a : a + before] for a in at], axis=1),
         "episode": np.repeat(windows.episode[:, None], count, axis=1),
         "row": windows.row[:, None] + at,
     }

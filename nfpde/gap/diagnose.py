@@ -123,9 +123,10 @@ def _stage_after(before: Stage, longer: Recordings, guesses: Array, seed: int) -
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:
     """Commands from before a window that any combination of three effects may need, and that any single one may."""
     times = sorted((e.memory_time() for e, _ in candidates), reverse=True)[:3]
+    recall = int(np.ceil(max((e.recall_time() for e, _ in candidates), default=0.0) / control_dt - 1e-9))
     if not times or times[0] <= 0:
-        return 0, 0
-    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2, int(np.ceil(times[0] / control_dt - 1e-9))
+        return recall, 0
+    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2 + recall, int(np.ceil(times[0] / control_dt - 1e-9))
 
 
 def _nominal(start: Replay) -> Array:

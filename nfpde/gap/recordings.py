@@ -61,7 +61,7 @@ class Recordings:
 
 def joined(first: Windows, second: Windows) -> Windows:
     """The windows of both halves, one after the other."""
-    names = ("state", "ctrl", "history", "episode", "row")
+    names = ("state", "ctrl", "history", "past", "episode", "row")
     return replace(first, **{n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names})
 
 

@@ -82,9 +82,9 @@ def _window(windows: Windows, start: Array, command: Array) -> Windows:
     """One window from a state (1, nx) under commands (steps, nu); what is measured there is unknown and not used."""
     state = np.broadcast_to(start[:, None], (1, len(command) + 1, start.shape[1]))
     history = np.broadcast_to(command[:1], (1, windows.nhistory, command.shape[1]))
-    return replace(
-        windows, state=state, ctrl=command[None], history=history, episode=np.zeros(1, int), row=np.zeros(1, int)
-    )
+    zero = np.zeros(1, int)
+    past = np.empty((1, 0, start.shape[1]))
+    return replace(windows, state=state, ctrl=command[None], history=history, past=past, episode=zero, row=zero)
 
 
 def _difference(a: Fit, b: Fit, window: Windows, sigma: Array, states: StateSpace) -> tuple[float, str]:

@@ -63,6 +63,8 @@ def _play_rotors(
     dofid = dofid_in[i]
     sent = wp.clamp(ctrl_in[worldid, ctrlid_in[i]], low_in[i], high_in[i])
     joint = qpos_in[worldid, qposid_in[i]]
+    if wp.isnan(joint):  # before the recording began
+        return
     joint_speed = qvel_in[worldid, dofid]
     side = memory_out[worldid, i, 0]
     position = memory_out[worldid, i, 1]

@@ -41,6 +41,7 @@ class BoundEffects:
         self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
         self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
         self.memory_time = self._memory_time()
+        self.recall_time = max((effects[i].recall_time() for i in self.on_step), default=0.0)
 
     def _memory_time(self) -> float:
         """How far back [s] commands matter: effects in series on one command add up."""
@@ -80,20 +81,26 @@ class RowEffects:
             states = e.to_measured(states, values[:, None, :])
         return states
 
-    def commands(self, windows: Windows, window: NDArray[np.intp], history: int, nsub: int) -> Array | None:
-        """Commands of every physics step as they reach the actuators, (R, H nsub, nu); None where nothing changes them.
+    def commands(
+        self, windows: Windows, window: NDArray[np.intp], history: int, nsub: int, past: int = 0
+    ) -> Array | None:
+        """Commands of every physics step as they reach the actuators; None where nothing changes them.
 
         Args:
             windows: the windows.
             window: which of them each row replays, (R,).
             history: commands from before the start that matter.
             nsub: physics steps in a control step.
+            past: control steps before the start whose commands are wanted too, at most `history`.
+
+        Returns:
+            (R, (past + H) nsub, nu).
         """
         if not self._on_command:
             return None
-        past = windows.history[:, windows.nhistory - history :]
-        signal = np.concatenate([past[window], windows.ctrl[window]], axis=1).repeat(nsub, axis=1)
-        return self.delivered(signal)[:, history * nsub :]
+        before = windows.history[:, windows.nhistory - history :]
+        signal = np.concatenate([before[window], windows.ctrl[window]], axis=1).repeat(nsub, axis=1)
+        return self.delivered(signal)[:, (history - past) * nsub :]
 
     def delivered(self, signal: Array) -> Array:
         """Commands sent at every physics step as they reach the actuators, (R, S, nu); `signal` is overwritten."""
@@ -137,11 +144,27 @@ class BeforeStep:
     fields: dict[str, Array]
     acting: list[tuple[Effect, NDArray[np.intp], Array]]
 
+    @property
+    def recall_time(self) -> float:
+        """How far back [s] effects are to be taken through the recorded motion."""
+        return max((e.recall_time() for e, _, _ in self.acting), default=0.0)
+
     def __call__(self) -> None:
         """Start from the rows' own fields and no force, and let every effect add its part."""
+        self._act(self.acting)
+
+    def recall(self, known: NDArray[np.bool_]) -> None:
+        """The same in the recorded motion before a window, for effects that recall it, in rows (R,) where it is known.
+
+        What they do to fields and forces is undone at the next call.
+        """
+        chosen = [(e, np.isin(rows, np.flatnonzero(known)), rows, v) for e, rows, v in self.acting if e.recall_time()]
+        self._act([(e, rows[some], values[some]) for e, some, rows, values in chosen if some.any()])
+
+    def _act(self, acting: list[tuple[Effect, NDArray[np.intp], Array]]) -> None:
         for name, own in self.fields.items():
             self.world.fields[name][...] = own
         self.world.qfrc_applied[...] = 0.0
         self.world.xfrc_applied[...] = 0.0
-        for e, rows, values in self.acting:
+        for e, rows, values in acting:
             e.step(self.world, rows, values)

@@ -38,7 +38,10 @@ _SIZES = (
 _SHARED = ("opt.timestep", "actuator_ctrlrange")
 """Fields that simulators and effects read of one model for all: control steps, and commands that are clamped."""
 
-_MEANINGS = {"body_simple": " (bodies whose centre of mass lies on their own joint are compiled in a shorter way)"}
+_MEANINGS = {
+    "body_simple": " (bodies whose centre of mass lies on their own joint are compiled in a shorter way, but not from "
+    "a path given here: give all models as paths, or none)"
+}
 """Words for fields that only MuJoCo's compiler writes."""
 
 _PICTURES = ("tex", "skin", "mat_", "light", "cam", "name", "key_", "tuple", "numeric", "sensor", "bvh", "oct")

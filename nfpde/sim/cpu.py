@@ -20,6 +20,7 @@ from nfpde.sim.alike import ModelSource, load_models, refuse_unlike_effects
 from nfpde.sim.fields import get_field
 from nfpde.sim.matching import match_dataset
 from nfpde.sim.model import model_hash
+from nfpde.sim.past import recorded_motion
 from nfpde.sim.probe import refuse_inert
 from nfpde.sim.quiet import quiet_mujoco
 from nfpde.sim.simulator import Array, Simulator, rows_at_once
@@ -71,7 +72,7 @@ class MujocoSimulator(Simulator):
         self.jumps = () if column is None else (column,)
         self.nthread = nthread or len(os.sched_getaffinity(0))
         self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
-        self.memory_time = self._bound.memory_time
+        self.memory_time, self.recall_time = self._bound.memory_time, self._bound.recall_time
         self._batch: mujoco.batch.Batch | None = None
         if check_influence:
             refuse_inert(self, self.model)
@@ -143,9 +144,20 @@ class MujocoSimulator(Simulator):
         effects = self._bound.on_rows(xi)
         start = effects.to_simulated(windows.state[window, 0])
         qpos, qvel, ctrl = (batch.bind(name)[:n] for name in ("qpos", "qvel", "ctrl"))
-        qpos[:], qvel[:] = start[:, :nq], start[:, nq:]
-        signal = effects.commands(windows, window, self.history_steps(windows.control_dt), nsub)
         before_step = effects.before_steps(batch, n)
+        past = 0 if before_step is None else self.recalled_steps(windows, before_step.recall_time)
+        history = min(self.history_steps(windows.control_dt), windows.nhistory)
+        signal = effects.commands(windows, window, history, nsub, past)
+        if past and before_step is not None:
+            rows = windows.past[window, windows.past.shape[1] - past :]
+            known = np.isfinite(rows).all(2)
+            sent = windows.history[window, windows.nhistory - past :] if signal is None else signal
+            rows = np.stack([*(effects.to_simulated(rows[:, i]) for i in range(past)), start], axis=1)
+            for k, (q, v) in enumerate(recorded_motion(self.model, rows, windows.control_dt, nsub)):
+                qpos[:], qvel[:], ctrl[:] = q, v, sent[:, k // nsub if signal is None else k]
+                before_step.recall(known[:, k // nsub])
+        signal = None if signal is None else signal[:, past * nsub :]
+        qpos[:], qvel[:] = start[:, :nq], start[:, nq:]
         single = nsub if signal is None and before_step is None else 1
         out = np.empty((n, horizon, self.states.nx))
         alive = np.arange(n)

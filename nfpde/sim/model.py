@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -29,8 +30,12 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
         if not path.is_file():
             raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
         try:
-            with quiet_mujoco():
-                loaded = mujoco.MjModel.from_xml_path(str(path))
+            with quiet_mujoco(), warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # compiling a specification, MuJoCo warns through Python
+                spec = mujoco.MjSpec.from_file(str(path))
+                for body in spec.bodies:
+                    body.simple = 0  # a centre of mass that MuJoCo compiled as fixed to a free joint could not be moved
+                loaded = spec.compile()
         except ValueError as error:
             raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
     else:
@@ -38,7 +43,8 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
     if loaded.na:
         raise BadModel(
             f"{where}: it has {loaded.na} actuator states (dyntype other than none), which recordings of qpos, qvel "
-            "and ctrl do not hold; set dyntype='none' and model the lag with the effect actuator_lag"
+            "and ctrl do not hold; set dyntype='none' and model the lag with the effect actuator_lag (for "
+            "<intvelocity>: a <position> actuator, with the integrated command recorded as its ctrl)"
         )
     if loaded.nhistory:
         raise BadModel(

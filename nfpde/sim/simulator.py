@@ -48,6 +48,7 @@ class Simulator(ABC):
         space: the parameters, D of them, those of effects last.
         states: the layout of a state and of the difference of two.
         memory_time: how far back [s] commands matter; windows must hold that much history.
+        recall_time: how far back [s] effects follow the recorded motion, where windows hold it.
         jumps: columns of parameters along which predictions jump, such as the choice of a model; a fit that follows
             slopes refuses them.
         simulated_steps: physics steps taken so far, the unit in which estimators are compared.
@@ -57,6 +58,7 @@ class Simulator(ABC):
     space: ParameterSpace
     states: StateSpace
     memory_time: float = 0.0
+    recall_time: float = 0.0
     jumps: tuple[int, ...] = ()
     simulated_steps: int = 0
     rounding: float = float(np.finfo(np.float64).eps)
@@ -203,8 +205,20 @@ class Simulator(ABC):
         return {"class": type(self).__name__}
 
     def history_steps(self, control_dt: float) -> int:
-        """Commands before a window's start that its simulation needs, at a control step of control_dt [s]."""
-        return int(np.ceil(self.memory_time / control_dt - 1e-9)) + 1 if self.memory_time > 0 else 0
+        """Rows before a window's start that its simulation makes use of, at a control step of control_dt [s]."""
+        recall = int(np.ceil(self.recall_time / control_dt - 1e-9))
+        return steps_back(self.memory_time, control_dt) + recall
+
+    def recalled_steps(self, windows: Windows, recall_time: float | None = None) -> int:
+        """Control steps before the windows that effects are taken through: as many as they want and windows hold.
+
+        Args:
+            windows: the windows.
+            recall_time: how far back [s]; None: what any effect wants.
+        """
+        wanted = (self.recall_time if recall_time is None else recall_time) / windows.control_dt
+        spare = windows.nhistory - steps_back(self.memory_time, windows.control_dt)
+        return max(0, min(int(np.ceil(wanted - 1e-9)), windows.past.shape[1], spare))
 
     def _check_unit(self, windows: Windows, scale: ArrayLike) -> Array:
         unit = np.asarray(scale, dtype=np.float64)
@@ -222,13 +236,18 @@ class Simulator(ABC):
                 f"the windows have nq={windows.nq}, nv={windows.nv}, the simulator nq={self.states.nq}, "
                 f"nv={self.states.nv}"
             )
-        needed = self.history_steps(windows.control_dt)
+        needed = steps_back(self.memory_time, windows.control_dt)
         if windows.history.shape[1] < needed:
             raise BadInput(
                 f"effects of this simulator look {self.memory_time:g} s back: cut the windows with history={needed}, "
                 f"they have {windows.history.shape[1]}"
             )
         return checked
+
+
+def steps_back(memory_time: float, control_dt: float) -> int:
+    """Commands before a window's start on which those within it depend."""
+    return int(np.ceil(memory_time / control_dt - 1e-9)) + 1 if memory_time > 0 else 0
 
 
 def squared_error(states: StateSpace, predicted: Array, measured: Array, scale: Array) -> Array:

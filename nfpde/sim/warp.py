@@ -86,7 +86,8 @@ class WarpSimulator(Simulator):
         self.effects = self.reference.effects
         self.space, self.states = self.reference.space, self.reference.states
         self.rounding = float(np.finfo(np.float32).eps)
-        self.memory_time, self.jumps = self.reference.memory_time, self.reference.jumps
+        self.memory_time, self.recall_time = self.reference.memory_time, self.reference.recall_time
+        self.jumps = self.reference.jumps
         self.nworld = nworld
         writer = self.reference.writer
         with wp.ScopedDevice(self.device):
@@ -297,9 +298,10 @@ class WarpSimulator(Simulator):
     def _sizes(
         self, windows: Windows, output: Output, *, nrow: int, nworld: int, nwindow: int, all_pairs: bool = True
     ) -> Sizes:
-        nhistory, nsub = self.history_steps(windows.control_dt), self.substeps(windows.control_dt)
+        steps = min(self.history_steps(windows.control_dt), windows.nhistory), self.recalled_steps(windows)
+        nsub = self.substeps(windows.control_dt)
         nconmax, njmax = self._buffers or (0, 0)
-        return Sizes(nrow, nworld, nwindow, windows.horizon, nhistory, nsub, output, all_pairs, nconmax, njmax)
+        return Sizes(nrow, nworld, nwindow, windows.horizon, *steps, nsub, output, all_pairs, nconmax, njmax)
 
     def _most_worlds(self, windows: Windows, output: Output) -> int:
         """Worlds at once: as many as were asked for, or as fit into the memory that was free at the beginning."""

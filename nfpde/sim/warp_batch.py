@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.kernels import loss as loss_kernels
-from nfpde.kernels import rows, states, whitening
+from nfpde.kernels import past, rows, states, whitening
+from nfpde.sim.past import speed_columns
 from nfpde.sim.simulator import LOSS_LIMIT
 from nfpde.sim.states import StateSpace
 from nfpde.sim.warp_effects import Staged, WarpEffects
@@ -40,6 +41,7 @@ class Sizes:
     nwindow: windows of the recordings
     horizon: control steps in a window
     nhistory: commands from before its start
+    npast: control steps before its start that effects are taken through
     nsub: physics steps in a control step
     output: what is kept of each step: the predicted states, their part of the loss, or their residuals
     all_pairs: whether every row meets every window; otherwise each world has a pair of its own
@@ -52,6 +54,7 @@ class Sizes:
     nwindow: int
     horizon: int
     nhistory: int
+    npast: int
     nsub: int
     output: Output
     all_pairs: bool
@@ -91,6 +94,8 @@ class WarpBatch:
             self._world_window = wp.zeros(z.nworld, dtype=int)
             kept = z.output == "states"
             self._state = wp.zeros((z.nwindow, 1 if kept else z.horizon + 1, nx), dtype=wp.float64)
+            self._past = wp.zeros((z.nwindow, z.npast, nx), dtype=wp.float64)
+            self._speed = wp.array(speed_columns(model.model), dtype=int)
             self._ctrl = wp.zeros((z.nwindow, z.nhistory + z.horizon, nu), dtype=float)
             length = (z.nhistory + z.horizon) * z.nsub if effects.on_command else 0
             self._signal = wp.zeros((z.nworld, length, nu), dtype=float)
@@ -123,8 +128,10 @@ class WarpBatch:
         _fill(self._staged.values, values)
         _fill(self._staged.active, active)
         _fill(self._state, windows.state[:, : self._state.shape[1], :nx])
-        past = windows.history[:, windows.history.shape[1] - z.nhistory :]
-        _fill(self._ctrl, np.concatenate([past, windows.ctrl], axis=1))
+        before = windows.history[:, windows.nhistory - z.nhistory :]
+        _fill(self._ctrl, np.concatenate([before, windows.ctrl], axis=1))
+        _fill(self._past, windows.past[:, windows.past.shape[1] - z.npast :, :nx])
+        self._control_dt = windows.control_dt
 
     def pair_all(self, nvector: int, nwindow: int) -> None:
         """Give world i * nrow + j the vector j and the window i."""
@@ -215,8 +222,7 @@ class WarpBatch:
         )
 
     def _begin(self) -> None:
-        z, nq, nv = self.sizes, self._space.nq, self._space.nv
-        d = self.d
+        z, d = self.sizes, self.d
         for name, columns in self._model.columns.items():
             if name not in self._model.step_fields and not (self.derives and name in (self._model.derived or ())):
                 self._gather(name, columns, self._row)
@@ -225,25 +231,7 @@ class WarpBatch:
         elif self._constants is not None:
             self._model.derive(self.m, self._constants)
         self._model.place_static(self.m, d, self._static_geoms)
-        wp.launch(
-            states._set_start,
-            dim=z.nworld,
-            inputs=[self._state, self._world_window, nq, nv],
-            outputs=[
-                *(d.qpos, d.qvel, d.qacc_warmstart, d.qfrc_applied, d.time, d.overflow),
-                *(self._alive, self._loss, self._step),
-            ],
-        )
         self._effects.forget(self._memories)
-        if self._effects.on_sensor:
-            self._store()
-            self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted, back=True)
-            wp.launch(
-                states._set_state,
-                dim=(z.nworld, self._space.nx),
-                inputs=[self._predicted, nq],
-                outputs=[d.qpos, d.qvel],
-            )
         if self._effects.on_command:
             wp.launch(
                 states._set_signal,
@@ -252,6 +240,53 @@ class WarpBatch:
                 outputs=[self._signal],
             )
             self._effects.change_commands(self._elements, self._staged, self._signal)
+        self._set_start()
+        if z.npast:
+            self._recall()
+            self._set_start()
+
+    def _set_start(self) -> None:
+        d = self.d
+        wp.launch(
+            states._set_start,
+            dim=self.sizes.nworld,
+            inputs=[self._state, self._world_window, self._space.nq, self._space.nv],
+            outputs=[
+                *(d.qpos, d.qvel, d.qacc_warmstart, d.qfrc_applied, d.time, d.overflow),
+                *(self._alive, self._loss, self._step),
+            ],
+        )
+        self._unmeasure()
+
+    def _unmeasure(self) -> None:
+        """Go from the measured state to that of the simulation."""
+        if not self._effects.on_sensor:
+            return
+        self._store()
+        self._effects.measure(self._elements, self._staged, self._step, self._space.nq, self._predicted, back=True)
+        wp.launch(
+            states._set_state,
+            dim=(self.sizes.nworld, self._space.nx),
+            inputs=[self._predicted, self._space.nq],
+            outputs=[self.d.qpos, self.d.qvel],
+        )
+
+    def _recall(self) -> None:
+        """Take effects through the recorded motion before the start; what they do there comes to nothing."""
+        z, d = self.sizes, self.d
+        for k in range(z.npast * z.nsub):
+            row, substep = divmod(k, z.nsub)
+            wp.launch(
+                past._follow_recording,
+                dim=(z.nworld, self._space.nx),
+                inputs=[
+                    *(self._past, self._state, self._world_window, self._speed, self._space.nq),
+                    *(z.npast, row, substep / z.nsub, self._control_dt),
+                ],
+                outputs=[d.qpos, d.qvel],
+            )
+            self._unmeasure()
+            self._act(substep, z.npast - row, recalled=True)
 
     def _control_step(self, nsub: int) -> None:
         z = self.sizes
@@ -283,20 +318,31 @@ class WarpBatch:
             outputs=[self._predicted],
         )
 
-    def _physics_step(self, k: int) -> None:
+    def _act(self, k: int, back: int = 0, *, recalled: bool = False) -> None:
+        """Send the commands of a physics step and let the effects act.
+
+        Args:
+            k: of the control step's physics steps.
+            back: control steps before the start of the window.
+            recalled: whether only effects act that recall what was before the window.
+        """
         z, d, nu = self.sizes, self.d, self._model.model.nu
         if self._effects.on_command:
-            inputs = [self._signal, self._step, z.nhistory, z.nsub, k]
+            inputs = [self._signal, self._step, z.nhistory - back, z.nsub, k]
             wp.launch(states._send_signal, dim=(z.nworld, nu), inputs=inputs, outputs=[d.ctrl])
         elif k == 0:
-            inputs = [self._ctrl, self._world_window, self._step, z.nhistory]
+            inputs = [self._ctrl, self._world_window, self._step, z.nhistory - back]
             wp.launch(states._set_ctrl, dim=(z.nworld, nu), inputs=inputs, outputs=[d.ctrl])
         if self._effects.on_step:
             for name in self._model.step_fields:
                 self._gather(name, self._model.columns[name], self._staged.world_row)
             d.qfrc_applied.zero_()
             d.xfrc_applied.zero_()
-            self._effects.before_step(self._elements, self._memories, self._staged, d, self._seen)
+            self._effects.before_step(self._elements, self._memories, self._staged, d, self._seen, recalled=recalled)
+
+    def _physics_step(self, k: int) -> None:
+        z, d = self.sizes, self.d
+        self._act(k)
         mjw.step(self.m, d)
         wp.launch(
             states._flag_divergence,

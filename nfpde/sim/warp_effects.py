@@ -180,13 +180,20 @@ class WarpEffects:
         staged: Staged,
         d: mjw.Data,
         fields: dict[str, wp.array],
+        *,
+        recalled: bool = False,
     ) -> None:
-        """Let the effects act before a physics step, after fields and forces were put back."""
+        """Let the effects act before a physics step, after fields and forces were put back.
+
+        With `recalled`, those alone that recall what was before the window.
+        """
 
         def array(name: str) -> wp.array:
             return getattr(d, name) if name in _OF_DATA else fields[name]
 
         for i in self.on_step:
+            if recalled and not self.effects[i].recall_time():
+                continue
             step, numbers = STEPS[self.effects[i].name], elements[i, "step"]
             wp.launch(
                 step.kernel,
