@@ -108,16 +108,17 @@ def test_only_what_touches_in_every_pose_is_listed():
 )
 def test_only_a_gap_surely_above_the_floor_is_unexplained(over, named, verdict):
     """The lower end of the ratio's interval decides, with three floors left at the estimate itself."""
-    assert _verdict(Level(1.0, 0.9, 0.3, 0.1), over, 1.0, named) == verdict
+    assert _verdict(Level(1.0, 0.9, 0.3, 0.1), over, 1.0, named=named) == verdict
 
 
 def test_a_few_windows_far_beyond_all_noise_are_a_gap():
     """Where the mean is at the floor and nothing is named, windows that noise cannot explain are left unexplained."""
-    assert _verdict(Level(1.0, 0.9, 0.3, 0.3), 1.0, 1e-6, False) == "unexplained"
-    assert _verdict(Level(1.0, 0.9, 0.3, 0.3), 1.0, 1e-6, True) == "effects"
+    assert _verdict(Level(1.0, 0.9, 0.3, 0.3), 1.0, 1e-6, named=False) == "unexplained"
+    assert _verdict(Level(1.0, 0.9, 0.3, 0.3), 1.0, 1e-6, named=True) == "effects"
 
 
 def test_most_of_a_gap_explained_is_explained():
     """Nine tenths of what there was beyond noise suffice for effects, whatever the rest is worth in noise."""
-    assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, 1.0, True) == "effects"
-    assert _verdict(Level(1.0, 0.9, 0.2, 0.001), 50.0, 1.0, True) == "unexplained"
+    assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, 1.0, named=True) == "effects"
+    assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, 1.0, named=True, sound=False) == "unexplained"
+    assert _verdict(Level(1.0, 0.9, 0.2, 0.001), 50.0, 1.0, named=True) == "unexplained"

@@ -37,3 +37,5 @@ from nfpde.effects.registry import effect_names as effect_names
 from nfpde.effects.registry import effects_in as effects_in
 from nfpde.effects.registry import register as register
 from nfpde.effects.scales import DataScales as DataScales
+from nfpde.effects.units import LINEAR as LINEAR
+from nfpde.effects.units import slides as slides

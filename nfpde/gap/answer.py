@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
-from nfpde.effects import Effect
+from nfpde.effects import LINEAR, Effect, slides
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
@@ -127,6 +127,8 @@ class Outcome:
         gain, error, _ = self.selection.court.gain(after, before)
         columns = fit.replay.columns(index)
         values = _fitted(fit, columns, [q.name for q in effect.quantities])
+        if slides(self.selection.model, effect):
+            values = {n: replace(v, unit=LINEAR.get(v.unit, v.unit)) for n, v in values.items()}
         name, target = key(effect)
         return Cause(name, target, effect.sentence, values, shrink, low, high, gain, error)
 
@@ -147,10 +149,12 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     forces = [needed_forces(left_over.fit, half, quiet, outcome.typical, noise) for half in halves]
     left = leftover(near.recordings, forces[0], forces[1], quiet, left_over.held, model)
     gap = outcome.level(None)
-    verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), bool(outcome.accepted))
-    force = describe(left, model, near.recordings.held) if verdict == "unexplained" else None
     effects = _causes(outcome)
-    ranking = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
+    sound = any(not any(v.at_bound for v in cause.parameters.values()) for cause in effects)
+    verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), named=bool(effects), sound=sound)
+    force = describe(left, model, near.recordings.held) if verdict == "unexplained" else None
+    tried = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
+    ranking = sorted(tried, key=lambda c: -c.shrink)
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
@@ -161,14 +165,14 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     return GapReport(
         verdict=verdict,
         effects=effects,
-        ranking=sorted(ranking, key=lambda c: -c.shrink),
+        ranking=ranking,
         where=where,
         gap=gap,
         horizons={h: outcome.level(i) for i, h in enumerate(recordings.horizons)},
         distance=apart,
         base=parameters,
         ladder=_ladder(outcome, gap),
-        summary=summary(verdict, gap, effects, where, parameters, force, apart, ahead),
+        summary=summary(verdict, gap, effects, where, parameters, force, apart, ahead, ranking[0] if ranking else None),
         gap_map=found,
         traces=_traces(outcome),
         residual_force=force,
@@ -184,11 +188,19 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     )
 
 
-def _verdict(gap: Level, over_floor: float, rare: float, named: bool) -> Verdict:
-    """What is left beside the noise floor decides, and beside what there was to explain; or a few windows do."""
+def _verdict(gap: Level, over_floor: float, rare: float, *, named: bool, sound: bool = True) -> Verdict:
+    """What is left beside the noise floor decides, and beside what there was to explain; or a few windows do.
+
+    Effects that all lean on their bounds (not `sound`) are stretched beyond what any robot has, and explain nothing
+    where they leave more than noise: units of the recordings that are wrong do that.
+    """
     if over_floor <= NEAR_FLOOR or gap.after_effects < SPOTLESS:
         return "effects" if named else "no_gap" if rare > ALARM else "unexplained"
-    if named and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor):
+    if (
+        named
+        and sound
+        and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor)
+    ):
         return "effects"
     return "unexplained"
 

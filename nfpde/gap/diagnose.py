@@ -22,7 +22,7 @@ from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
 from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.stage import Stage, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.trial import noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
@@ -78,6 +78,10 @@ def diagnose_gap(
     report("fitting the parameters")
     lengths = _lengths(recordings, touches)
     base, court = first_fit(start, lengths[0], guesses, capped=touches)
+    every = cut_recordings(dataset, history, seed, windows)
+    if begins_worse(base, court, _lengths(every, touches)[0], lead):
+        lead, recordings, lengths = 0, every, _lengths(every, touches)
+        base, court = first_fit(start, lengths[0], guesses, capped=touches)
     held = alike_halves(lengths[0], gaps(base, court), seed)
     if held is not None:
         recordings = cut_recordings(dataset, history, seed, windows, lead, held)
@@ -97,9 +101,12 @@ def diagnose_gap(
     stage = near
     if lengths[-1] is not recordings:
         stage = _stage_after(near, recordings, guesses, seed)
-        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
-        final = stage.shown(final, refitted=True) if accepted else stage.base
+        selection = replace(selection, court=stage.court, yardstick=stage.yardstick, sigma=stage.sigma)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
+        if accepted:
+            final = stage.shown(final, refitted=True)
+        else:  # little by little, a weak effect grows above the noise
+            final, accepted = selection.run(stage.base)
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped))

@@ -115,7 +115,21 @@ class Selection:
             accepted.append(new)
             if len(accepted) > 1:
                 current, accepted = self._second_look(current, accepted, first_gap)
+        if len(accepted) > 1:
+            current, accepted = self._pruned(current, accepted, first_gap)
         return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
+
+    def _pruned(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
+        """Without effects that the others have made superfluous."""
+        for index in reversed(range(len(accepted))):
+            smaller, gap = self.without(current, index), self._whole_gap(current)
+            if len(accepted) > 1 and self._whole_gap(smaller) - gap < self._worth(gap, first_gap):
+                current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
+        return current, accepted
+
+    def _worth(self, gap: float, first_gap: float) -> float:
+        """By how much an effect must shrink a gap to be named."""
+        return min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
 
     def _carried(
         self, base: Trial, trial: Trial, accepted: list[Accepted], first_gap: float
@@ -233,7 +247,7 @@ class Selection:
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self._whole_gap(current)
-        worth = min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
+        worth = self._worth(gap, first_gap)
         tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
         trials = [t for t in trials if gap - self._whole_gap(t) >= worth]

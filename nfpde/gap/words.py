@@ -21,6 +21,9 @@ WHEN = {
 }
 """What regimes are, in a sentence."""
 
+_CLOSE = 0.1
+"""Share of the gap that an effect which was not proven must take away to be worth a word."""
+
 
 def summary(
     verdict: Verdict,
@@ -31,8 +34,12 @@ def summary(
     force: ResidualForce | None,
     apart: Distance,
     ahead: float,
+    closest: Cause | None = None,
 ) -> list[str]:
-    """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on."""
+    """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on.
+
+    `closest` is the effect that would shrink the gap most, proven or not.
+    """
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
         top = where[0]
@@ -40,6 +47,18 @@ def summary(
     if base and gap.after_parameters < 0.98 * gap.before:
         lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
     lines += [_cause(c) for c in effects]
+    lines += [
+        f"{c.effect}{_at(c.target)}: {name} leans on the end of what any robot has ({v.value:.4g} {v.unit}): look for "
+        "wrong units in the recordings or the model, or for something unknown that it stands in for."
+        for c in effects
+        for name, v in c.parameters.items()
+        if v.at_bound and verdict == "unexplained"
+    ]
+    if verdict == "unexplained" and not effects and closest is not None and closest.shrink >= _CLOSE:
+        lines.append(
+            f"Closest comes {closest.effect}{_at(closest.target)}, which would take away {closest.shrink:.0%}; but the "
+            "held-out recordings do not bear it out."
+        )
     if verdict != "no_gap" and apart.before > apart.noise_floor:
         repaired = f", {apart.after_effects:.2g} with the effects" if effects else ""
         lines.append(
@@ -63,6 +82,10 @@ def summary(
     return lines
 
 
+def _at(target: str) -> str:
+    return f" at {target}" if target else ""
+
+
 def _first(verdict: Verdict, gap: Level) -> str:
     if verdict == "no_gap":
         return "The model predicts the recordings as well as their noise allows: there is no gap to explain."
@@ -77,12 +100,11 @@ def _cause(c: Cause) -> str:
     values = ", ".join(
         f"{name} {v.value:.4g} {v.unit} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
     )
-    place = f" at {c.target}" if c.target else ""
     share = f"it accounts for {c.shrink:.1%} of the gap"
     if c.shrink <= 0:
         share = "it shows in few windows, none of them among those held out"
-    text = f"{c.effect}{place}: {values}; {share}. {c.sentence}"
+    text = f"{c.effect}{_at(c.target)}: {values}; {share}. {c.sentence}"
     if c.indistinguishable:
-        others = ", ".join(f"{r.effect}{' at ' + r.target if r.target else ''}" for r in c.indistinguishable)
+        others = ", ".join(f"{r.effect}{_at(r.target)}" for r in c.indistinguishable)
         text += f" These recordings cannot tell it from {others}. {c.separating_experiment}"
     return text

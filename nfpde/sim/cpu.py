@@ -150,7 +150,7 @@ class MujocoSimulator(Simulator):
         signal = effects.commands(windows, window, history, nsub, past)
         if past and before_step is not None:
             rows = windows.past[window, windows.past.shape[1] - past :]
-            known = np.isfinite(rows).all(2)
+            known: NDArray[np.bool_] = np.asarray(np.isfinite(rows).all(2))
             sent = windows.history[window, windows.nhistory - past :] if signal is None else signal
             rows = np.stack([*(effects.to_simulated(rows[:, i]) for i in range(past)), start], axis=1)
             for k, (q, v) in enumerate(recorded_motion(self.model, rows, windows.control_dt, nsub)):
