@@ -16,7 +16,7 @@ _MAD = 1.4826
 
 _FAR = 20.0
 """Standard deviations beyond which no noise reaches: in a million rows, Laplace's, with its long tails, has one
-reading so far off in five hundred recordings, a Gaussian never."""
+reading so far off in one recording of eight hundred, a Gaussian's never."""
 
 _NEAR = 10
 """Rows before and after a reading whose mismatch must be small beside it, too: noise may come with the motion."""
