@@ -8,7 +8,10 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import NEAR_FLOOR, _verdict
+from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.overlap import always_touching, without_contacts
+from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.replay import Replay
 from nfpde.gap.report import Level
 from tests.gap_systems import ARM, nominal, record
 
@@ -68,6 +71,143 @@ def test_signs_and_columns_are_named(change, words):
     wrong = [Episode(e.name, e.time, *change(e.qpos, e.qvel, e.ctrl)) for e in record(noise=1e-3)]
     with pytest.raises(BadDataset, match=words):
         diagnose_gap(nominal(), Dataset(wrong))
+
+
+DEGREES = np.array([1.0, 180 / np.pi])
+LATE = [0, *range(299)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda q, v, u: (q * DEGREES[1], v * DEGREES[1], u),
+            "shoulder and elbow look recorded in degrees; convert to",
+        ),
+        (
+            lambda q, v, u: (q * DEGREES, v * DEGREES, u),
+            "fit the model: elbow looks recorded in degrees; convert to rad",
+        ),
+        (lambda q, v, u: (q, v, u[LATE]), "commands look one row late: ctrl\\[r\\] must act from row r to row r\\+1"),
+        (lambda q, v, u: (q * [1, 0] + [0, 0.2], v * [1, 0], u), "elbow: its readings never change, qpos 0.2 rad"),
+    ],
+)
+def test_units_rows_and_dead_encoders_are_named(change, words):
+    """Degrees in all joints or in one, commands that are logged a row late and an encoder that stands still."""
+    wrong = [Episode(e.name, e.time, *change(e.qpos, e.qvel, e.ctrl)) for e in record(noise=1e-3)]
+    with pytest.raises(BadDataset, match=words):
+        checked(nominal(), Dataset(wrong))
+
+
+def checked(model, data):
+    """Run all checks of a diagnosis and nothing else."""
+    check_readings(model, data)
+    check_fit(Replay(model, None, []), data, cut_recordings(data, 0, 0, 60), np.zeros(0))
+
+
+def test_degrees_that_make_the_simulation_diverge():
+    """Speeds so high that the nominal model's simulation blows up: the words still say degrees."""
+    stiff = ARM.replace('damping="0.05"', 'damping="0.05" stiffness="1000" limited="true" range="-90 90"')
+    quick = mujoco.MjModel.from_xml_string(stiff.replace('integrator="implicitfast"', 'integrator="Euler"'))
+    assert quick.jnt_limited.all()
+    data = record(lambda model: model.jnt_stiffness.__setitem__(slice(None), 1000.0))
+    wrong = [Episode(e.name, e.time, e.qpos * DEGREES[1], e.qvel * DEGREES[1], e.ctrl) for e in data]
+    with pytest.raises(BadDataset, match="look recorded in degrees"):
+        checked(quick, Dataset(wrong))
+
+
+SERVO = """
+<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+  <joint name="hinge" axis="0 1 0" damping=".1" armature=".01"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/></body></worldbody>
+<actuator><position joint="hinge" kp="{kp}" kv="{kv}"/></actuator></mujoco>
+"""
+
+
+def servo(kp, kv):
+    return mujoco.MjModel.from_xml_string(SERVO.format(kp=kp, kv=kv))
+
+
+def follow(kp, kv, noise, rate=1.0, late=0, rows=200):
+    """Recordings of a servo that follows smooth sines of about a rate [Hz], its commands logged some rows late."""
+    model, rng, out = servo(kp, kv), np.random.default_rng(0), []
+    data = mujoco.MjData(model)
+    for number in range(4):
+        mujoco.mj_resetData(model, data)
+        rates, phase = rate * rng.uniform(0.5, 1.5, (3, 1)), rng.uniform(0, 6, (3, 1))
+        ctrl = np.sin(2 * np.pi * rates * 0.01 * np.arange(rows) + phase).sum(0)[:, None] / 3
+        qpos, qvel = np.empty((rows, 1)), np.empty((rows, 1))
+        for row in range(rows):
+            qpos[row], qvel[row], data.ctrl[:] = data.qpos, data.qvel, ctrl[row]
+            mujoco.mj_step(model, data, 10)
+        qpos += noise * rng.normal(size=qpos.shape)
+        qvel += 8 * noise * rng.normal(size=qvel.shape)
+        logged = np.concatenate([ctrl[:1].repeat(late, axis=0), ctrl[: rows - late]])
+        out.append(Episode(str(number), 0.01 * np.arange(rows), qpos, qvel, logged))
+    return Dataset(out)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-3, 3e-2])
+@pytest.mark.parametrize(
+    ("nominal_gains", "gains", "rate"),
+    [((100, 3), (150, 3), 1.0), ((100, 3), (50, 1), 1.0), ((400, 10), (600, 10), 3.0)],
+)
+def test_a_stiffer_servo_is_no_late_log(nominal_gains, gains, rate, noise):
+    """A servo that leads the model's by about a row, on commands so smooth that a shift would nearly cure it."""
+    checked(servo(*nominal_gains), follow(gains[0], gains[1], noise, rate))
+
+
+def test_a_servos_late_log_is_named():
+    """The same servo as the model's, with its commands a row late."""
+    with pytest.raises(BadDataset, match="commands look one row late"):
+        checked(servo(100, 3), follow(100, 3, 1e-5, late=1))
+
+
+def rubbed(data):
+    return -0.4 * np.tanh(data.qvel[1] / 0.05)
+
+
+def delayed(rows):
+    return [Episode(e.name, e.time, e.qpos, e.qvel, np.roll(e.ctrl, -rows, axis=0)) for e in record(noise=1e-3)]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        Dataset(delayed(1)),
+        Dataset(delayed(3)),
+        record(force=rubbed, noise=1e-3),
+        record(lambda model: model.actuator_gear.__setitem__((1, 0), 0.3), noise=1e-3),
+        record(lambda model: model.dof_armature.__setitem__(1, 0.2), noise=1e-3),
+        record(force=lambda data: -6.0 * data.qpos[1], noise=1e-3),
+    ],
+    ids=["delay", "long delay", "friction", "weak motor", "rotor", "spring"],
+)
+def test_faults_pass_the_checks(data):
+    """Real faults are the diagnosis' to name: none of them looks like recordings written down wrongly."""
+    checked(nominal(), data)
+
+
+def test_commands_that_never_change_pass():
+    """An arm that swings under one constant torque says nothing of the rows of its commands."""
+    model = nominal()
+    data = mujoco.MjData(model)
+    data.ctrl[:] = [0.5, 0.2]
+    qpos, qvel = np.empty((400, 2)), np.empty((400, 2))
+    for row in range(400):
+        qpos[row], qvel[row] = data.qpos, data.qvel
+        mujoco.mj_step(model, data, 2)
+    ctrl = np.broadcast_to(data.ctrl, (400, 2))
+    checked(model, Dataset([Episode("0", 0.01 * np.arange(400), qpos, qvel, ctrl)]))
+
+
+def test_a_joint_that_nothing_moves_may_rest():
+    """A second arm in the model's own rest, not driven and held by a spring, whose readings never change, is sound."""
+    idle = """<body pos="1 0 1"><joint name="idle" axis="0 0 1"/><geom size=".1" mass="1"/></body></worldbody>"""
+    model = mujoco.MjModel.from_xml_string(ARM.replace("</worldbody>", idle))
+    rest = lambda x: np.hstack([x, np.zeros((len(x), 1))])  # noqa: E731
+    data = [Episode(e.name, e.time, rest(e.qpos), rest(e.qvel), e.ctrl) for e in record(noise=1e-3)]
+    checked(model, Dataset(data))
 
 
 def test_a_model_that_diverges_is_refused():

@@ -1,18 +1,19 @@
-"""Recordings that cannot answer, or do not fit the model: joints with flipped signs, joints swapped, nothing moving."""
+"""Recordings that cannot answer, or do not fit the model: wrong signs, order, units or rows, or nothing that moves."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, replace
-from itertools import combinations
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.dataset import Windows
-from nfpde.elements import actuator_ctrls, element_names, is_axis
+from nfpde.dataset import Dataset, Windows
+from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
+from nfpde.gap.foresight import check_commands
+from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, joints_of
+from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
+from nfpde.gap.readings import CURED, Readings, check_columns
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.parameters import ParameterSpace
@@ -20,9 +21,6 @@ from nfpde.parameters import ParameterSpace
 Array = NDArray[np.float64]
 
 _WINDOWS = 60
-_CURED = 0.2
-"""A change of sign or order that brings the error below this share of it was the cause."""
-
 _DIVERGED = 1e6
 """Error of a window whose simulation diverges."""
 
@@ -30,46 +28,54 @@ _FITS = 0.01
 """A model whose error is below this share of the motion has the right signs and order: one wrong joint of forty would
 make more."""
 
-_MOST_PAIRS = 70
-
-_PARTS = (("", True, True), (" in qpos and qvel", True, False), (" in the commands", False, True))
-"""What may be flipped or swapped of a joint: how to say it, whether its states are, whether its commands are."""
+_LOOK = 1.0
+"""How long the model may take to move a joint whose readings never change [s]."""
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """A hinge or slide and the commands of its actuators."""
+def check_readings(model: mujoco.MjModel, dataset: Dataset) -> None:
+    """Refuse recordings that contradict themselves, whatever the model's numbers are.
 
-    name: str
-    q: int
-    v: int
-    ctrls: tuple[int, ...]
+    Args:
+        model: Says which columns belong to which joint.
+        dataset: Recordings in the model's order.
+
+    Raises:
+        BadDataset: Angles that were wrapped, speeds that are not the changes of their positions, spikes: where, and
+            what to do.
+    """
+    readings = Readings.of(model, dataset)
+    if readings.axes:
+        check_wraps(readings)
+        check_columns(readings)
+        check_spikes(readings)
 
 
-def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
-    """Refuse recordings in which a joint's sign or order differs from the model's, or nothing moves.
+def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Array) -> None:
+    """Refuse recordings that were written down in another way than the model takes them, or in which nothing moves.
 
     Args:
         replay: The nominal model.
-        recordings: The recordings.
+        dataset: The recordings.
+        recordings: The same in windows.
         xi: Nominal free parameters (D,).
 
     Raises:
         BadDataset: What looks wrong, and what to do.
         SimulationDiverged: Its simulation diverges.
     """
-    windows = recordings.fit[np.unique(np.linspace(0, len(recordings.fit) - 1, _WINDOWS).astype(int))]
+    windows = _some(recordings.fit)
     model = replay.sim.model
-    joints = _joints(model)
+    joints = joints_of(model)
     moved = np.abs(windows.state - windows.state[:, :1]).max((0, 1))
     if not (moved > 0).any():
         raise BadDataset(
             "nothing moves in these recordings, so no gap can be told from no gap: record the robot moving, every "
             "joint through a good part of its range, at several speeds"
         )
-    _check_velocities(windows, joints)
+    _check_encoders(replay, dataset, xi)
     error = _error(replay, xi, windows)
     if error >= _DIVERGED:
+        _refuse_best(model, _degrees(replay, xi, windows, joints, error), error, CURED)
         raise SimulationDiverged(
             "the nominal model's simulation diverges from most recorded states within "
             f"{windows.horizon * windows.control_dt:.3g} s, so it predicts nothing: halve its timestep "
@@ -77,17 +83,16 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
             "push, gains too high, and tiny masses; recordings must be in rad and m"
         )
     _check_contacts(replay, xi, windows, error)
+    check_commands(replay, dataset, xi)
     if error < _FITS:
         return
-    flips = [
-        (f"{j.name}'s sign looks flipped{of}", _flipped(windows, j, *parts)) for j in joints for of, *parts in _PARTS
-    ]
-    pairs = list(combinations(joints, 2))[:_MOST_PAIRS]
-    swaps = [
-        (f"{a.name} and {b.name} look swapped{of}", _swapped(windows, a, b, *p)) for a, b in pairs for of, *p in _PARTS
-    ]
-    trials = [(_error(replay, xi, changed), text) for text, changed in [*flips, *swaps]]
-    if trials and min(trials)[0] < _CURED * error:
+    trials = [(_error(replay, xi, changed), text) for text, changed in flips_and_swaps(windows, joints)]
+    _refuse_best(model, [*trials, *_degrees(replay, xi, windows, joints, error)], error, CURED * error)
+
+
+def _refuse_best(model: mujoco.MjModel, trials: list[tuple[float, str]], error: float, below: float) -> None:
+    """Refuse what comes nearest to the model after a change, where that brings the error below a bound."""
+    if trials and min(trials)[0] < below:
         best, text = min(trials)
         raise BadDataset(
             f"the recordings do not fit the model: {text} (the nominal model's error is {error:.2g} times the motion "
@@ -96,32 +101,39 @@ def check_fit(replay: Replay, recordings: Recordings, xi: Array) -> None:
         )
 
 
-def _joints(model: mujoco.MjModel) -> list[_Joint]:
-    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    out = []
-    for i, name in enumerate(element_names(model, "joint")):
-        if is_axis(model, i):
-            drives = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == i))
-            ctrls = tuple(int(c) for c in actuator_ctrls(model, drives)) if len(drives) else ()
-            out.append(_Joint(name, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]), ctrls))
-    return out
+def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], error: float) -> list[tuple[float, str]]:
+    """Errors with every hinge in degrees, with each alone, and with those together that are better off alone."""
+    hinges = [j for j in joints if j.turns]
+    if not hinges:
+        return []
+    single = [[(_error(replay, xi, w), text) for text, w in in_degrees(windows, [j])] for j in hinges]
+    better = [j for j, tried in zip(hinges, single, strict=True) if min(tried)[0] < error]
+    groups = [g for g in (hinges, better) if len(g) > 1]
+    together = [(_error(replay, xi, w), text) for g in groups for text, w in in_degrees(windows, g)]
+    return [*(trial for tried in single for trial in tried), *together]
 
 
-def _check_velocities(windows: Windows, joints: list[_Joint]) -> None:
-    """A joint's speed must be the change of its position."""
-    for joint in joints:
-        change = np.diff(windows.state[:, :, joint.q], axis=1).ravel()
-        speed = windows.state[:, :, windows.nq + joint.v]
-        speed = 0.5 * (speed[:, 1:] + speed[:, :-1]).ravel()
-        if change.std() > 0 and speed.std() > 0 and np.corrcoef(change, speed)[0, 1] < -0.5:
+def _check_encoders(replay: Replay, dataset: Dataset, xi: Array) -> None:
+    """A joint whose readings never change, while the model moves it, has a dead encoder or cannot move."""
+    model = replay.sim.model
+    still = Readings.of(model, dataset).never_changing()
+    if not still:
+        return
+    longest = max(len(e) for e in dataset) - 1
+    windows = _some(dataset.windows(min(longest, max(1, round(_LOOK / dataset.control_dt)))))
+    predicted = replay.predict(xi[None], windows)[0]
+    for axis in still:
+        least = np.pi / 180 * (1.0 if axis.turns else float(model.stat.extent))
+        moves = np.abs(predicted[:, :, axis.q] - windows.state[:, :1, axis.q])
+        moves = np.nan_to_num(moves, nan=0.0).max(1)
+        unit = "rad" if axis.turns else "m"
+        if np.median(moves) > least:
             raise BadDataset(
-                f"{joint.name}: its qvel runs against the change of its qpos, so one of the two has the wrong sign; "
-                f"correct it in the recordings"
-            )
-        if change.std() > 0 and speed.std() == 0:
-            raise BadDataset(
-                f"{joint.name}: its qpos changes while its qvel stands still at {speed[0]:g}; record velocities, or "
-                f"take them from differences of qpos"
+                f"{axis.name}: its readings never change, qpos {windows.state[0, 0, axis.q]:.4g} {unit} and qvel "
+                f"{windows.state[0, 0, windows.nq + axis.v]:.4g} {unit}/s in every row, while the model moves it by "
+                f"{np.median(moves):.2g} {unit} within {windows.horizon * windows.control_dt:.3g} s: a dead encoder, "
+                f"or a joint that is locked. Repair the recordings, or weld the joint in the model (remove it, so that "
+                f"its body is fixed to its parent, and its columns)"
             )
 
 
@@ -133,7 +145,7 @@ def _check_contacts(replay: Replay, xi: Array, windows: Windows, error: float) -
         return
     space = ParameterSpace(replay.parameters) if replay.parameters else None
     apart = _error(Replay(without_contacts(model, pairs), space, []), xi, windows)
-    if apart < _CURED * error:
+    if apart < CURED * error:
         raise BadDataset(
             f"the recordings do not fit the model: in every recorded pose its geoms overlap, and their contact drives "
             f"it away (the nominal model's error is {error:.2g} times the motion, {apart:.2g} times without these "
@@ -149,30 +161,15 @@ def _error(replay: Replay, xi: Array, windows: Windows) -> float:
     predicted = replay.predict(xi[None], windows)[0][:, -1]
     moved = states.difference(windows.target[:, -1], windows.state[:, 0])
     error = states.difference(predicted, windows.target[:, -1])
+    ratio = error / _spread_of_motion(moved)
+    return float(np.median(np.nan_to_num((ratio**2).mean(1), nan=_DIVERGED)))
+
+
+def _spread_of_motion(moved: Array) -> Array:
     spread = np.sqrt((moved**2).mean(0))
-    spread = np.maximum(spread, 1e-3 * spread.max(initial=0.0) + 1e-12)
-    return float(np.median(np.nan_to_num(((error / spread) ** 2).mean(1), nan=_DIVERGED)))
+    return np.maximum(spread, 1e-3 * spread.max(initial=0.0) + 1e-12)
 
 
-def _flipped(windows: Windows, joint: _Joint, states: bool, commands: bool) -> Windows:
-    """A joint's positions and speeds negated, its commands, or both."""
-    sign_x, sign_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
-    sign_x[[joint.q, windows.nq + joint.v]] = -1.0 if states else 1.0
-    sign_u[list(joint.ctrls)] = -1.0 if commands else 1.0
-    return replace(windows, state=windows.state * sign_x, ctrl=windows.ctrl * sign_u, history=windows.history * sign_u)
-
-
-def _swapped(windows: Windows, a: _Joint, b: _Joint, states: bool, commands: bool) -> Windows:
-    """Two joints' positions and speeds exchanged, their commands, or both."""
-    order_x, order_u = np.arange(windows.state.shape[2]), np.arange(windows.nu)
-    if states:
-        for x, y in ((a.q, b.q), (windows.nq + a.v, windows.nq + b.v)):
-            order_x[[x, y]] = order_x[[y, x]]
-    if commands and len(a.ctrls) == len(b.ctrls):
-        order_u[[*a.ctrls, *b.ctrls]] = order_u[[*b.ctrls, *a.ctrls]]
-    return replace(
-        windows,
-        state=windows.state[..., order_x],
-        ctrl=windows.ctrl[..., order_u],
-        history=windows.history[..., order_u],
-    )
+def _some(windows: Windows) -> Windows:
+    """A few windows from all over the recordings."""
+    return windows[np.unique(np.linspace(0, len(windows) - 1, _WINDOWS).astype(int))]

@@ -15,7 +15,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.brief import brief
-from nfpde.gap.checks import check_fit
+from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings, windows_for
 from nfpde.gap.replay import Replay
@@ -67,13 +67,14 @@ def diagnose_gap(
     mjmodel = load_model(model)
     start = Replay(mjmodel, space, [], nthread, device)
     dataset = start.sim.prepare(dataset)
+    check_readings(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
     history, lead = _history(candidates, dataset.control_dt)
     windows = windows or windows_for(mjmodel.nv)
     recordings = cut_recordings(dataset, history, seed, windows, lead)
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
-    check_fit(start, recordings, guesses[0])
+    check_fit(start, dataset, recordings, guesses[0])
     touches = any(e.whole == "contact" for e, _ in candidates)
     report("fitting the parameters")
     lengths = _lengths(recordings, touches)

@@ -28,12 +28,12 @@ def encoder_grain(model: mujoco.MjModel, rows: Windows) -> Array:
     grain, read = np.zeros(2 * model.nv), rows.state[:, 0]
     for dof, joint in enumerate(model.dof_jntid):
         if is_axis(model, int(joint)):
-            grain[dof] = _step(read[:, model.jnt_qposadr[joint]])
-        grain[model.nv + dof] = _step(read[:, model.nq + dof])
+            grain[dof] = step_of(read[:, model.jnt_qposadr[joint]])
+        grain[model.nv + dof] = step_of(read[:, model.nq + dof])
     return grain
 
 
-def _step(values: Array) -> float:
+def step_of(values: Array) -> float:
     """What values (n,) are multiples of, give or take a constant; zero if nothing."""
     readings = np.unique(values)
     steps = np.diff(readings)

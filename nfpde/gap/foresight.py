@@ -1,0 +1,92 @@
+"""Commands that act a row before they are written down: no robot foresees them, so they were written down too late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset, Windows
+from nfpde.errors import BadDataset
+from nfpde.gap.readings import CURED
+from nfpde.gap.replay import Replay
+
+Array = NDArray[np.float64]
+
+_PAST = 1
+"""Rows before whose commands tell, too: with them their trend. Noise of the sensors hides the state, and where
+commands are smooth the next one would stand in for it."""
+
+_MOST, _EACH, _FEWEST = 300, 20, 5
+"""Steps that are looked at; for each of the numbers that predict them, where these are many; and for each the fewest
+with which anything is said. Half of the steps are laid aside."""
+
+
+def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
+    """Refuse commands that are one row late.
+
+    Whatever fault a robot has, the change of its speeds from a row to the next depends on its state and on commands up
+    to that row. That change is predicted from them, to first order, beside the nominal model; then from the next row's
+    command, which the model is given instead. Where that explains most of what was left, the next row's command had
+    acted already. What a stiffer servo does, which leads the model as well, follows from state and command alone.
+
+    Args:
+        replay: The nominal model.
+        dataset: The recordings.
+        xi: Its free parameters (D,).
+
+    Raises:
+        BadDataset: The commands look one row late.
+    """
+    if dataset.nu == 0 or max(len(e) for e in dataset) < 3:
+        return
+    every = dataset.windows(2, stride=1, history=_PAST)
+    known = 1 + every.nq + every.nv + (1 + _PAST) * every.nu
+    windows = _most_commanded(every, max(_MOST, _EACH * known))
+    if len(windows) < _FEWEST * known:
+        return
+    as_written = replace(windows, state=windows.state[:, :2], ctrl=windows.ctrl[:, :1])
+    shifted = replace(as_written, ctrl=windows.ctrl[:, 1:])
+    now, then = (replay.predict(xi[None], w)[0][:, 0, windows.nq :] for w in (as_written, shifted))
+    lacking, row = windows.state[:, 1, windows.nq :] - now, then - now
+    sound = np.isfinite(lacking + row).all(1)
+    if sound.sum() < _FEWEST * known:
+        return
+    past = windows.history.reshape(len(windows), -1)
+    told = np.hstack([np.ones((len(windows), 1)), windows.state[:, 0], windows.ctrl[:, 0], past])
+    shares = [
+        _left(told[sound], lacking[sound, c], row[sound, c]) for c in range(every.nv) if (row[sound, c] != 0).any()
+    ]
+    if any(best < CURED for best, _ in shares) and not any(worst > 1 / CURED for _, worst in shares):
+        raise BadDataset(
+            f"the commands look one row late: ctrl[r] must act from row r to row r+1, and here it is the command that "
+            f"led to row r ({min(shares)[0]:.2g} of what the nominal model cannot explain is left with the next row's "
+            f"commands). Shift them in every episode: ctrl[:-1] = ctrl[1:]"
+        )
+
+
+def _most_commanded(windows: Windows, most: int) -> Windows:
+    """The windows in which commands change most: there it shows in which row they acted."""
+    change = np.abs(windows.ctrl[:, 1] - windows.ctrl[:, 0])
+    size = (change / np.where(change.max(0) > 0, change.max(0), 1.0)).sum(1)
+    chosen = np.argsort(-size, kind="stable")[:most]
+    return windows[np.sort(chosen[size[chosen] > 0])]
+
+
+def _left(told: Array, lacking: Array, row: Array) -> tuple[float, float]:
+    """Share of what state and command (n, K) do not tell of the residual (n,) that is left when a row's step is taken.
+
+    Of that residual, or of the row's step, whichever is smaller; and of the residual. From the half of the rows that
+    either explains best: contacts make of some what they like.
+    """
+    columns = np.column_stack([lacking, row, lacking - row])
+    apart = np.abs(_untold(told, columns))
+    nearest = np.minimum(apart[:, 0], apart[:, 2])
+    half = nearest <= np.median(nearest)
+    before, step, after = np.maximum((_untold(told[half], columns[half]) ** 2).sum(0), 1e-300)
+    return after / min(before, step), after / before
+
+
+def _untold(told: Array, columns: Array) -> Array:
+    return columns - told @ np.linalg.lstsq(told, columns, rcond=None)[0]

@@ -1,0 +1,108 @@
+"""Ways to write recordings down wrongly, undone: signs flipped, columns swapped, degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import mujoco
+import numpy as np
+
+from nfpde.dataset import Windows
+from nfpde.elements import actuator_ctrls, element_names, is_axis
+from nfpde.gap.readings import DEGREES, listed
+
+_MOST_PAIRS = 70
+
+_PARTS = (("", True, True), (" in qpos and qvel", True, False), (" in the commands", False, True))
+"""What may be flipped or swapped of a joint: how to say it, whether its states are, whether its commands are."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge or slide.
+
+    name: its name
+    q, v: its columns in qpos and qvel
+    turns: whether it is a hinge
+    ctrls: commands of its actuators
+    angles: those among them that are angles: of position servos
+    """
+
+    name: str
+    q: int
+    v: int
+    turns: bool
+    ctrls: tuple[int, ...]
+    angles: tuple[int, ...]
+
+
+def joints_of(model: mujoco.MjModel) -> list[Joint]:
+    """The hinges and slides of a model."""
+    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (model.actuator_biasprm[:, 1] != 0)
+    out = []
+    for i, name in enumerate(element_names(model, "joint")):
+        if is_axis(model, i):
+            drives = on_joints & (model.actuator_trnid[:, 0] == i)
+            ctrls, angles = (
+                tuple(int(c) for c in actuator_ctrls(model, np.flatnonzero(some))) for some in (drives, drives & servos)
+            )
+            turns = model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
+            q, v = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
+            out.append(Joint(name, q, v, turns, ctrls, angles if turns else ()))
+    return out
+
+
+def flips_and_swaps(windows: Windows, joints: list[Joint]) -> list[tuple[str, Windows]]:
+    """What may look flipped or swapped, in words, and the windows with that undone."""
+    flips = [
+        (f"{j.name}'s sign looks flipped{of}", _flipped(windows, j, *part)) for j in joints for of, *part in _PARTS
+    ]
+    pairs = list(combinations(joints, 2))[:_MOST_PAIRS]
+    swaps = [
+        (f"{a.name} and {b.name} look swapped{of}", _swapped(windows, a, b, *p)) for a, b in pairs for of, *p in _PARTS
+    ]
+    return [*flips, *swaps]
+
+
+def in_degrees(windows: Windows, joints: Sequence[Joint]) -> list[tuple[str, Windows]]:
+    """That these hinges look recorded in degrees, in words, and the windows in rad; once more with their commands."""
+    looks = "looks" if len(joints) == 1 else "look"
+    text = f"{listed([j.name for j in joints])} {looks} recorded in degrees; convert"
+    nq = windows.nq
+    scale_x, scale_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
+    scale_x[[c for j in joints for c in (j.q, nq + j.v)]] /= DEGREES
+    scale_u[[c for j in joints for c in j.angles]] /= DEGREES
+    out = [(f"{text} to rad", replace(windows, state=windows.state * scale_x))]
+    if (scale_u != 1).any():
+        both = replace(
+            windows, state=windows.state * scale_x, ctrl=windows.ctrl * scale_u, history=windows.history * scale_u
+        )
+        out.append((f"{text} qpos, qvel and commands to rad", both))
+    return out
+
+
+def _flipped(windows: Windows, joint: Joint, states: bool, commands: bool) -> Windows:
+    """A joint's positions and speeds negated, its commands, or both."""
+    sign_x, sign_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
+    sign_x[[joint.q, windows.nq + joint.v]] = -1.0 if states else 1.0
+    sign_u[list(joint.ctrls)] = -1.0 if commands else 1.0
+    return replace(windows, state=windows.state * sign_x, ctrl=windows.ctrl * sign_u, history=windows.history * sign_u)
+
+
+def _swapped(windows: Windows, a: Joint, b: Joint, states: bool, commands: bool) -> Windows:
+    """Two joints' positions and speeds exchanged, their commands, or both."""
+    order_x, order_u = np.arange(windows.state.shape[2]), np.arange(windows.nu)
+    if states:
+        for x, y in ((a.q, b.q), (windows.nq + a.v, windows.nq + b.v)):
+            order_x[[x, y]] = order_x[[y, x]]
+    if commands and len(a.ctrls) == len(b.ctrls):
+        order_u[[*a.ctrls, *b.ctrls]] = order_u[[*b.ctrls, *a.ctrls]]
+    return replace(
+        windows,
+        state=windows.state[..., order_x],
+        ctrl=windows.ctrl[..., order_u],
+        history=windows.history[..., order_u],
+    )
