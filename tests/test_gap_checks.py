@@ -88,6 +88,8 @@ LATE = [0, *range(299)]
             lambda q, v, u: (q * DEGREES, v * DEGREES, u),
             "fit the model: elbow looks recorded in degrees; convert to rad",
         ),
+        (lambda q, v, u: (q, v, 100 * u), "commands look 100 times too large, as in percent"),
+        (lambda q, v, u: (q, v, u / 1000), "commands look 1000 times too small"),
         (lambda q, v, u: (q, v, u[LATE]), "commands look one row late: ctrl\\[r\\] must act from row r to row r\\+1"),
         (lambda q, v, u: (q * [1, 0] + [0, 0.2], v * [1, 0], u), "elbow: its readings never change, qpos 0.2 rad"),
     ],

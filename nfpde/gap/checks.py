@@ -10,7 +10,7 @@ from nfpde.dataset import Dataset, Windows
 from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
-from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, joints_of
+from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, in_other_units, joints_of, with_commands
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
 from nfpde.gap.readings import CURED, Readings, check_columns
@@ -87,6 +87,7 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     if error < _FITS:
         return
     trials = [(_error(replay, xi, changed), text) for text, changed in flips_and_swaps(windows, joints)]
+    trials += _units(replay, xi, windows, error)
     _refuse_best(model, [*trials, *_degrees(replay, xi, windows, joints, error)], error, CURED * error)
 
 
@@ -111,6 +112,14 @@ def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], e
     groups = [g for g in (hinges, better) if len(g) > 1]
     together = [(_error(replay, xi, w), text) for g in groups for text, w in in_degrees(windows, g)]
     return [*(trial for tried in single for trial in tried), *together]
+
+
+def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[tuple[float, str]]:
+    """Errors with the commands in other units, where commands matter: one hundredth is next to none."""
+    tried = [(_error(replay, xi, w), text) for text, w in in_other_units(windows)] if windows.nu else []
+    if not tried or min(tried)[0] >= CURED * error:
+        return []
+    return tried if min(tried)[0] < CURED * _error(replay, xi, with_commands(windows, 0.0)) else []
 
 
 def _check_encoders(replay: Replay, dataset: Dataset, xi: Array) -> None:

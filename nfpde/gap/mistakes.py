@@ -1,4 +1,4 @@
-"""Ways to write recordings down wrongly, undone: signs flipped, columns swapped, degrees."""
+"""Ways to write recordings down wrongly, undone: signs flipped, columns swapped, other units."""
 
 from __future__ import annotations
 
@@ -65,6 +65,26 @@ def flips_and_swaps(windows: Windows, joints: list[Joint]) -> list[tuple[str, Wi
         (f"{a.name} and {b.name} look swapped{of}", _swapped(windows, a, b, *p)) for a, b in pairs for of, *p in _PARTS
     ]
     return [*flips, *swaps]
+
+
+def in_other_units(windows: Windows) -> list[tuple[str, Windows]]:
+    """That all commands look too large or too small, in words, and the windows with that undone."""
+    return [
+        (f"the commands look {times}; convert them to what the model's actuators take", with_commands(windows, factor))
+        for times, factor in (
+            ("100 times too large, as in percent", 0.01),
+            ("100 times too small, as shares of what should be percent", 100.0),
+            ("1000 times too large", 0.001),
+            ("1000 times too small", 1000.0),
+            ("57.3 times too large, as in degrees", 1 / DEGREES),
+            ("57.3 times too small, as in rad instead of degrees", DEGREES),
+        )
+    ]
+
+
+def with_commands(windows: Windows, factor: float) -> Windows:
+    """The windows with all commands multiplied by a number."""
+    return replace(windows, ctrl=factor * windows.ctrl, history=factor * windows.history)
 
 
 def in_degrees(windows: Windows, joints: Sequence[Joint]) -> list[tuple[str, Windows]]:
