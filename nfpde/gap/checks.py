@@ -10,6 +10,7 @@ from nfpde.dataset import Dataset, Windows
 from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
+from nfpde.gap.frames import check_frames
 from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, in_other_units, joints_of, with_commands
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
@@ -40,9 +41,10 @@ def check_readings(model: mujoco.MjModel, dataset: Dataset) -> None:
         dataset: Recordings in the model's order.
 
     Raises:
-        BadDataset: Angles that were wrapped, speeds that are not the changes of their positions, spikes: where, and
-            what to do.
+        BadDataset: Quaternions and velocities in another convention, angles that were wrapped, speeds that are not the
+            changes of their positions, spikes: where, and what to do.
     """
+    check_frames(model, dataset)
     readings = Readings.of(model, dataset)
     if readings.axes:
         check_wraps(readings)
