@@ -38,6 +38,11 @@ QUIET = 0.1
 
 TRACES = 6
 
+_COMPUTED = (
+    "Nobody measured the velocities of {}: they are differences of the positions, which miss what happens within a "
+    "control step, and that counts as gap here. Record velocities, or positions at a higher rate."
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -48,6 +53,7 @@ class Outcome:
     final: parameters and effects fitted
     accepted: effects in the order of their acceptance, which is their order in `final`
     sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
+    computed: joints whose speeds were computed from their positions, in words
     """
 
     dataset: Dataset
@@ -59,6 +65,7 @@ class Outcome:
     sigma: Array
     typical: Array
     seed: int
+    computed: str = ""
 
     @property
     def recordings(self) -> Recordings:
@@ -172,7 +179,10 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
         distance=apart,
         base=parameters,
         ladder=_ladder(outcome, gap),
-        summary=summary(verdict, gap, effects, where, parameters, force, apart, ahead, ranking[0] if ranking else None),
+        summary=[
+            *summary(verdict, gap, effects, where, parameters, force, apart, ahead, ranking[0] if ranking else None),
+            *([_COMPUTED.format(outcome.computed)] if outcome.computed and verdict != "no_gap" else []),
+        ],
         gap_map=found,
         traces=_traces(outcome),
         residual_force=force,

@@ -14,7 +14,7 @@ from nfpde.gap.frames import check_frames
 from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, in_other_units, joints_of, with_commands
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
-from nfpde.gap.readings import CURED, Readings, check_columns
+from nfpde.gap.readings import CURED, Readings, check_columns, differenced
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.parameters import ParameterSpace
@@ -33,12 +33,15 @@ _LOOK = 1.0
 """How long the model may take to move a joint whose readings never change [s]."""
 
 
-def check_readings(model: mujoco.MjModel, dataset: Dataset) -> None:
+def check_readings(model: mujoco.MjModel, dataset: Dataset) -> str:
     """Refuse recordings that contradict themselves, whatever the model's numbers are.
 
     Args:
         model: Says which columns belong to which joint.
         dataset: Recordings in the model's order.
+
+    Returns:
+        The joints whose velocities nobody measured, in words; see `differenced`.
 
     Raises:
         BadDataset: Quaternions and velocities in another convention, angles that were wrapped, speeds that are not the
@@ -50,6 +53,9 @@ def check_readings(model: mujoco.MjModel, dataset: Dataset) -> None:
         check_wraps(readings)
         check_columns(readings)
         check_spikes(readings)
+    # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
+    single = dataset.control_dt < 1.5 * model.opt.timestep
+    return differenced(readings) if readings.axes and not single else ""
 
 
 def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Array) -> None:

@@ -67,7 +67,7 @@ def diagnose_gap(
     mjmodel = load_model(model)
     start = Replay(mjmodel, space, [], nthread, device)
     dataset = start.sim.prepare(dataset)
-    check_readings(mjmodel, dataset)
+    computed = check_readings(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
     candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
     history, lead = _history(candidates, dataset.control_dt)
@@ -112,7 +112,7 @@ def diagnose_gap(
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped))
     near = shown if near is stage else near
-    outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed)
+    outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed)
     return answer(outcome, time.monotonic() - begin)
 
 

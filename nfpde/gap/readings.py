@@ -27,6 +27,9 @@ _UNIT = 0.1
 _SPAN = 10
 """Rows over which changes of position and speeds are compared: far more than one row's, their noise is the same."""
 
+_ROUNDED = 1e-5
+"""Share of the highest speed by which a speed that was computed from positions differs from that: single precision."""
+
 _TOGGLES = 2.5
 """Steps of its encoder that a resting joint's readings differ by at most: two, with rounding."""
 
@@ -117,6 +120,27 @@ class Readings:
         """Axes whose position and speed are the same in all rows of every episode."""
         changes = (np.abs(np.diff(self.qpos, axis=0)) + np.abs(np.diff(self.qvel, axis=0)))[self.inside]
         return [self.axes[k] for k in np.flatnonzero(changes.max(0, initial=0.0) == 0)]
+
+
+def differenced(readings: Readings) -> str:
+    """In words, the axes whose speeds are differences of their positions, to the last digits: nobody measured them.
+
+    "" where there are none.
+    """
+    step, speed = np.diff(readings.qpos, axis=0) / readings.control_dt, readings.qvel[1:-1]
+    inner = readings.inside[1:] & readings.inside[:-1]
+    ways = {
+        "backward": step[:-1],
+        "forward": step[1:],
+        "central": 0.5 * (step[:-1] + step[1:]),
+    }
+    found = []
+    for k, axis in enumerate(readings.axes):
+        at = speed[inner, k]
+        scale = _ROUNDED * float(np.abs(at).max(initial=0.0))
+        exact = [way for way, values in ways.items() if scale and np.abs(values[inner, k] - at).max() <= scale]
+        found += [f"{axis.name} ({exact[0]})"] if exact else []
+    return listed(found) if found else ""
 
 
 def axes_of(model: mujoco.MjModel) -> tuple[Axis, ...]:
