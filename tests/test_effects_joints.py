@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.effects import effect
+from nfpde.effects import LINEAR, DataScales, all_candidates, effect, slides
 from nfpde.errors import BadEffect
 from nfpde.sim import MujocoSimulator
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, recording, replaced, rows_are_apart, same_as
@@ -130,3 +130,43 @@ def test_damping_is_recovered_from_data():
     grid = np.linspace(0, 1, 41)
     losses = sim.losses(grid[:, None], windows, np.ones(6)).sum(1)
     assert grid[losses.argmin()] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("name", "field"), [("viscous_damping", "dof_damping"), ("coulomb_friction", "dof_frictionloss")]
+)
+def test_a_ball_is_held_back_about_every_axis(name, field):
+    """As MuJoCo's own field does it, and a diagnosis tries it there."""
+    model = load(BALL)
+    ball = int(np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL))[0])
+    dofs = model.jnt_dofadr[ball] + np.arange(3)
+    data = record(model, 3, 40, 5)
+    tried = [e for e in all_candidates(model, DataScales.of(model, data)) if e.name == name]
+    bound = next(e.bind(model) for e in tried if set(dofs) <= set(e.bind(model).dofs.tolist()))
+    value = 0.5 * bound.parameters[0].high
+    sim = MujocoSimulator(model, None, [bound], check_influence=False)
+    held = load(BALL)
+    getattr(held, field)[dofs] += value
+    windows = make_windows(model, 3, 20)
+    found = sim.predict([[value]], windows)[0]
+    for n in range(3):
+        free, expected = (plain_rollout(m, windows.start[n], windows.ctrl[n], 1) for m in (model, held))
+        np.testing.assert_allclose(found[n], expected, atol=1e-9)
+        assert np.abs(found[n] - free).max() > 1e-4
+
+
+def test_units_along_a_slide():
+    """A force in N is named for what it is, a torque too."""
+    model = load(CART)
+    for target, slide in (("rail", True), ("pole", False)):
+        assert slides(model, effect("coulomb_friction", target, torque=(0, 1))) is slide
+    assert slides(model, effect("torque_limit", "push", limit=(0, 1)))
+    assert not slides(model, effect("payload", "cart", mass=(0, 1), **{f"position_{a}": (-1, 1) for a in "xyz"}))
+    assert LINEAR["Nms/rad"] == "Ns/m"
+
+
+CART = """
+<mujoco><worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/>
+  <body><joint name="pole" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .5" size=".02" mass=".2"/></body>
+</body></worldbody><actuator><motor name="push" joint="rail"/></actuator></mujoco>
+"""

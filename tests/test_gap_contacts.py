@@ -157,3 +157,44 @@ def test_parameters_are_found_beside_contacts(seed):
     found, _ = first_fit(replay, recordings, np.array([[7.9, 59.0]]), capped=True)
     # noise of the starts passes through the contacts: it does not only scatter the values, it shifts them
     assert found.fit.xi == pytest.approx([2.0, 30.0], rel=0.05)
+
+
+PUCK = """
+<mujoco><option timestep="0.002"/><default><geom friction="{friction}"/></default>
+<worldbody>
+  <geom name="table" type="plane" size="5 5 .1"/>
+  <body name="puck" pos="0 0 .02"><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/><geom type="cylinder" size=".04 .02" mass=".3"/></body>
+  <body name="arm" pos="2 0 1"><joint name="hinge" axis="0 1 0" damping=".2"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".5"/></body>
+</worldbody>
+<actuator><motor joint="hinge"/></actuator></mujoco>
+"""
+
+
+def shots(friction, rows=300, noise=1e-4):
+    """A puck that slides for some tenths of a second, then rests, beside an arm that swings on."""
+    rng, out = np.random.default_rng(0), []
+    model = mujoco.MjModel.from_xml_string(PUCK.format(friction=friction))
+    for number in range(6):
+        data = mujoco.MjData(model)
+        data.qvel[:2] = rng.uniform(0.3, 0.9, 2)
+        qpos, qvel = np.empty((rows, 4)), np.empty((rows, 4))
+        ctrl = np.sin(2 * np.pi * (0.5 + 0.2 * number) * 0.01 * np.arange(rows))[:, None]
+        for row in range(rows):
+            qpos[row], qvel[row], data.ctrl[:] = data.qpos, data.qvel, ctrl[row]
+            mujoco.mj_step(model, data, 5)
+        noises = np.array([1.0, 1.0, 0.05, 1.0]) * noise
+        qpos += noises * rng.normal(size=qpos.shape)
+        qvel += 10 * noises * rng.normal(size=qvel.shape)
+        out.append(Episode(str(number), 0.01 * np.arange(rows), qpos, qvel, ctrl))
+    return Dataset(out)
+
+
+def test_what_happens_at_the_beginning_alone_is_seen():
+    """For late commands the first rows of an episode are useless; here nothing else shows how slippery the table is."""
+    nominal = mujoco.MjModel.from_xml_string(PUCK.format(friction=0.5))
+    report = diagnose_gap(nominal, shots(0.25))
+    assert (report.verdict, [c.effect for c in report.effects]) == ("effects", ["ground_friction"])
+    assert report.effects[0].parameters["sliding"].value == pytest.approx(0.25, abs=0.01)
+    assert diagnose_gap(nominal, shots(0.5)).verdict == "no_gap"

@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from nfpde.effects import effect
 from nfpde.errors import BadModel
-from nfpde.sim import load_model, model_hash
+from nfpde.sim import MujocoSimulator, load_model, model_hash
 from tests.models import BLOCK, DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows, plain_rollout
 
 URDF = """
@@ -94,3 +95,36 @@ def test_loading_keeps_the_physics(xml):
     for n in range(3):
         a, b = (plain_rollout(m, windows.start[n], windows.ctrl[n], 1) for m in (raw, loaded))
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+CENTRED = """
+<mujoco><worldbody><body name="drone" pos="0 0 1"><freejoint/><geom type="box" size=".1 .2 .05" mass="1"/></body>
+</worldbody></mujoco>
+"""
+
+
+def test_a_file_leaves_every_centre_of_mass_free_to_move(tmp_path):
+    """MuJoCo compiles a free body that balances at its origin in a shorter way; the numbers are the same."""
+    path = tmp_path / "drone.xml"
+    path.write_text(CENTRED)
+    raw, loaded = load(CENTRED), load_model(path)
+    assert raw.body_simple[1] == 1
+    assert not loaded.body_simple.any()
+    windows = make_windows(raw, 3, 50)
+    for n in range(3):
+        a, b = (plain_rollout(m, windows.start[n], windows.ctrl[n], 1) for m in (raw, loaded))
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_load_beside_the_origin_of_a_free_body(tmp_path):
+    """It turns the body as MuJoCo's own model with the load welded to it does."""
+    path = tmp_path / "drone.xml"
+    path.write_text(CENTRED)
+    load_at = {f"position_{axis}": (-0.3, 0.3) for axis in "xyz"}
+    sim = MujocoSimulator(path, None, [effect("payload", "drone", mass=(0, 1), **load_at)])
+    welded = CENTRED.replace("</body>", '<geom type="sphere" size="1e-4" pos=".1 .05 -.05" mass=".2"/></body>')
+    windows = make_windows(sim.model, 3, 50)
+    found = sim.predict([[0.2, 0.1, 0.05, -0.05]], windows)[0]
+    for n in range(3):
+        expected = plain_rollout(load(welded), windows.start[n], windows.ctrl[n], 1)
+        np.testing.assert_allclose(found[n], expected, atol=1e-6)
