@@ -28,8 +28,9 @@ lower than it is explains nothing. Shares of the bounds that are looked at then.
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
-FIRST, SECOND = 8, 4
-"""Candidates refitted roughly, and to the end."""
+FIRST, SECOND = (8, 14), (4, 6)
+"""Candidates refitted roughly, and to the end: in smooth motion, and beside contacts, where slopes foretell little and a
+candidate that screening likes less may turn out the best."""
 
 
 def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
@@ -41,13 +42,14 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
         screened: Candidates, best first.
     """
     refitting, found = Refitting(court, base), list[tuple[float, Screened, Fit]]()
-    for s in _hopeful(screened, FIRST):
+    touches = court.capped > 0
+    for s in _hopeful(screened, FIRST[touches]):
         fits = refitting.rough(s)
         gain, best = max((base.cost - fit.cost, i) for i, fit in enumerate(fits))
         if gain > LEAST_GAIN:
             found.append((gain, s, fits[best]))
     found.sort(key=lambda one: -one[0])
-    close = [(s, refitting.closer(fit)) for _, s, fit in found[:SECOND]]
+    close = [(s, refitting.closer(fit)) for _, s, fit in found[: SECOND[touches]]]
     most = max((base.cost - fit.cost for _, fit in close), default=0.0)
     trials = []
     for s, fit in close:
