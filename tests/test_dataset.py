@@ -117,12 +117,13 @@ def naive_windows(data, horizon, stride, history):
     horizon=st.integers(1, 6),
     stride=st.integers(1, 5),
     history=st.integers(0, 4),
+    past=st.integers(0, 4),
 )
 @settings(max_examples=60, deadline=None)
-def test_windows_agree_with_a_naive_loop(rows, horizon, stride, history):
-    """For any lengths, horizon, stride and history the vectorised windows are those of the plain definition."""
+def test_windows_agree_with_a_naive_loop(rows, horizon, stride, history, past):
+    """For any lengths, horizon, stride, history and past the vectorised windows are those of the plain definition."""
     data = Dataset([counted(str(i), n, start=100.0 * i) for i, n in enumerate([*rows, horizon + 1])])
-    windows = data.windows(horizon, stride=stride, history=history)
+    windows = data.windows(horizon, stride=stride, history=history, past=past)
     expected = naive_windows(data, horizon, stride, history)
     assert len(windows) == len(expected)
     for i, (index, row, state, ctrl, before) in enumerate(expected):
@@ -130,11 +131,16 @@ def test_windows_agree_with_a_naive_loop(rows, horizon, stride, history):
         assert_array_equal(windows.state[i], state)
         assert_array_equal(windows.ctrl[i], ctrl)
         assert_array_equal(windows.history[i], np.reshape(before, (history, 1)))
+        unknown = max(0, past - row)
+        assert np.isnan(windows.past[i, :unknown]).all()
+        episode = data.episodes[index]
+        known = np.hstack([episode.qpos, episode.qvel])[max(row - past, 0) : row]
+        assert_array_equal(windows.past[i, unknown:], known)
 
 
 def test_windows_indexing_keeps_rows_together():
     """Slice, index array, mask and single index pick the same rows of every array, and are read-only."""
-    windows = Dataset([counted(rows=6)]).transitions(history=1)
+    windows = Dataset([counted(rows=6)]).windows(1, history=1, past=1)
     mask = np.array([False, True, False, True, False])
     for index in (slice(1, 4, 2), np.array([1, 3]), [1, 3], mask):
         picked = windows[index]
@@ -143,6 +149,7 @@ def test_windows_indexing_keeps_rows_together():
         assert_array_equal(picked.start[:, 0], [1, 3])
         assert_array_equal(picked.ctrl[:, 0, 0], [1001, 1003])
         assert_array_equal(picked.history[:, 0, 0], [1000, 1002])
+        assert_array_equal(picked.past[:, 0, 0], [0, 2])
         assert not picked.state.flags.writeable
     assert len(windows[-1]) == 1
     assert windows[-1].row[0] == 4

@@ -243,7 +243,9 @@ def test_backlash_is_recovered():
                 w = v = (INERTIA * w + ROTOR * v) / (INERTIA + ROTOR)
             wheel, rotor = wheel + w * dt / fine, rotor + v * dt / fine
     sim = make("backlash", 0, GEARED, width=(0, 0.2))
-    windows = recording(np.array(rows), ctrl, sim.model, dt).windows(40, stride=3, history=sim.history_steps(dt))
+    windows = recording(np.array(rows), ctrl, sim.model, dt).windows(
+        40, stride=3, history=sim.history_steps(dt), past=sim.past_steps(dt)
+    )
     assert np.array(between)[windows.row].sum() > 5
     grid = np.linspace(0, 0.018, 31)
     losses = sim.losses(grid[:, None], windows, np.ones(2)).sum(1)

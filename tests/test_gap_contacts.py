@@ -81,13 +81,13 @@ def test_short_windows_are_those_of_the_recordings():
     assert steps == list(cut.horizons[: len(steps)])
     assert steps
     for short in brief(cut):
-        every = data.windows(short.horizons[-1], history=3)
+        every = data.windows(short.horizons[-1], history=3, past=3)
         where = {(e, r): i for i, (e, r) in enumerate(zip(every.episode, every.row, strict=True))}
         for half, whole in ((short.fit, cut.fit), (short.held, cut.held)):
             assert set(half.episode) <= set(whole.episode)
             chosen = every[np.array([where[e, r] for e, r in zip(half.episode, half.row, strict=True)])]
-            for name in ("state", "ctrl", "history"):
-                assert (getattr(half, name) == getattr(chosen, name)).all()
+            for name in ("state", "ctrl", "history", "past"):
+                np.testing.assert_array_equal(getattr(half, name), getattr(chosen, name))
         assert len(short.block) == len(short.held)
 
 

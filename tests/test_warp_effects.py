@@ -95,7 +95,8 @@ def test_rotors_are_where_the_recording_took_them(xml):
     ]
     sim = WarpSimulator(model, None, effects, device="warp-cpu", check_influence=False)
     data = record(model, 2, 120, 4, amplitude=1.0)
-    windows = data.windows(5, stride=11, history=sim.history_steps(data.control_dt))
+    dt = data.control_dt
+    windows = data.windows(5, stride=11, history=sim.history_steps(dt), past=sim.past_steps(dt))
     assert np.isnan(windows.past).any()
     assert np.isfinite(windows.past).all((1, 2)).any()
     xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), neutral(sim)])

@@ -119,13 +119,14 @@ class Dataset:
         """
         return self.windows(1, history=history)
 
-    def windows(self, horizon: int, *, stride: int | None = None, history: int = 0) -> Windows:
+    def windows(self, horizon: int, *, stride: int | None = None, history: int = 0, past: int = 0) -> Windows:
         """Windows of `horizon` control steps; episodes too short for one are skipped and listed.
 
         Args:
             horizon: Number H of control steps in a window.
             stride: Rows from one start to the next; None means `horizon` (no overlap).
             history: Number K of commands to give from before each start.
+            past: Number P of states to give from before each start.
 
         Returns:
             The windows, ordered by episode, then by row; `Windows.skipped_episodes` lists what was skipped.
@@ -134,7 +135,9 @@ class Dataset:
             BadDataset: Every episode is too short.
         """
         with naming(self.source):
-            return cut_windows(self.episodes, self.control_dt, horizon=horizon, stride=stride, history=history)
+            return cut_windows(
+                self.episodes, self.control_dt, horizon=horizon, stride=stride, history=history, past=past
+            )
 
     def split(self, held_out: float | Sequence[str], *, seed: int = 0) -> tuple["Dataset", "Dataset"]:
         """Split into a data set to fit and one to test on, never inside an episode.

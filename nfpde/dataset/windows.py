@@ -24,8 +24,8 @@ class Windows:
         ctrl: Commands; row h acts from state h to state h+1. Shape (N, H, nu).
         history: The K commands before the start, oldest first; before an episode's first row, where no
             command is known, its first command is repeated. Shape (N, K, nu).
-        past: Measured states of the P rows before the start, oldest first; NaN before an episode's first row. As many
-            as of `history` where windows are cut from recordings, none if not given. Shape (N, P, nq+nv).
+        past: Measured states of the P rows before the start, oldest first; NaN before an episode's first row, none if
+            not given. Shape (N, P, nq+nv).
         control_dt: Control step [s].
         nq: Number of position columns of `state`.
         nv: Number of velocity columns of `state`.
@@ -162,7 +162,7 @@ class Windows:
 
 
 def cut_windows(
-    episodes: Sequence[Episode], control_dt: float, *, horizon: int, stride: int | None, history: int
+    episodes: Sequence[Episode], control_dt: float, *, horizon: int, stride: int | None, history: int, past: int = 0
 ) -> Windows:
     """Cut every window that fits, episode by episode.
 
@@ -172,6 +172,7 @@ def cut_windows(
         horizon: Control steps H in a window.
         stride: Rows from one start to the next; None means `horizon` (no overlap).
         history: Commands K to give from before the start.
+        past: States P to give from before the start.
 
     Returns:
         The windows, ordered by episode, then by row.
@@ -184,6 +185,7 @@ def cut_windows(
     stride = horizon if stride is None else stride
     check_count(stride, "stride", 1)
     check_count(history, "history", 0)
+    check_count(past, "past", 0)
 
     lengths = np.array([len(e) for e in episodes])
     counts = np.maximum((lengths - 1 - horizon) // stride + 1, 0)
@@ -198,9 +200,9 @@ def cut_windows(
 
     state = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in episodes])
     ctrl = np.concatenate([e.ctrl for e in episodes])
-    earlier = row[:, None] + np.arange(-history, 0)
-    before = np.maximum(earlier, 0)
-    past = np.where(earlier[..., None] >= 0, state[first + before], np.nan)
+    before = np.maximum(row[:, None] + np.arange(-history, 0), 0)
+    earlier = row[:, None] + np.arange(-past, 0)
+    states_before = np.where(earlier[..., None] >= 0, state[first + np.maximum(earlier, 0)], np.nan)
     return Windows(
         state=_read_only(state[first + row[:, None] + np.arange(horizon + 1)]),
         ctrl=_read_only(ctrl[first + row[:, None] + np.arange(horizon)]),
@@ -211,7 +213,7 @@ def cut_windows(
         episode=episode,
         row=row,
         skipped_episodes=tuple(np.flatnonzero(counts == 0).tolist()),
-        past=_read_only(past),
+        past=_read_only(states_before),
     )
 
 

@@ -107,7 +107,9 @@ def _fit_transitions(
     out: Path | None,
     quiet: bool,
 ) -> FitResult:
-    windows = dataset.windows(config.horizon, stride=1, history=simulator.history_steps(dataset.control_dt))
+    dt = dataset.control_dt
+    before = {"history": simulator.history_steps(dt), "past": simulator.past_steps(dt)}
+    windows = dataset.windows(config.horizon, stride=1, **before)
     unit = np.ones(simulator.states.ndiff)
     scale = increment_scale(simulator.states, windows) if config.scale == "increment" else unit
 

@@ -77,7 +77,7 @@ def cut_recordings(
 
     Args:
         dataset: The recordings.
-        history: Commands needed from before a window's start.
+        history: Commands and states needed from before a window's start.
         seed: Decides which episodes are held out.
         windows: Most windows of each half.
         lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
@@ -89,7 +89,7 @@ def cut_recordings(
     """
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
-    every = dataset.windows(steps, history=history)
+    every = dataset.windows(steps, history=history, past=history)
     settled = np.flatnonzero(every.row >= lead)
     if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
         every = every[settled]
@@ -112,7 +112,7 @@ def cut_recordings(
                 f"four or more episodes"
             )
     first, second = _spread(first, windows), _spread(second, windows)
-    singles = dataset.windows(1, history=history)
+    singles = dataset.windows(1, history=history, past=history)
     inside = np.isin(singles.episode, np.unique(second.episode))
     if held_episodes is None:
         inside &= singles.row > (lengths[0] - 1) // 2

@@ -29,8 +29,8 @@ HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
 FIRST, SECOND = (8, 14), (4, 6)
-"""Candidates refitted roughly, and to the end: in smooth motion, and beside contacts, where slopes foretell little and a
-candidate that screening likes less may turn out the best."""
+"""Candidates refitted roughly, and to the end: in smooth motion, and beside contacts, where slopes foretell little and
+a candidate that screening likes less may turn out the best."""
 
 
 def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:

@@ -205,9 +205,12 @@ class Simulator(ABC):
         return {"class": type(self).__name__}
 
     def history_steps(self, control_dt: float) -> int:
-        """Rows before a window's start that its simulation makes use of, at a control step of control_dt [s]."""
-        recall = int(np.ceil(self.recall_time / control_dt - 1e-9))
-        return steps_back(self.memory_time, control_dt) + recall
+        """Commands before a window's start that its simulation makes use of, at a control step of control_dt [s]."""
+        return steps_back(self.memory_time, control_dt) + self.past_steps(control_dt)
+
+    def past_steps(self, control_dt: float) -> int:
+        """States before a window's start that its simulation makes use of, at a control step of control_dt [s]."""
+        return int(np.ceil(self.recall_time / control_dt - 1e-9))
 
     def recalled_steps(self, windows: Windows, recall_time: float | None = None) -> int:
         """Control steps before the windows that effects are taken through: as many as they want and windows hold.

@@ -116,7 +116,8 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
         BadDataset: a robot whose episodes are all shorter than the horizon.
         BadInput: a resolution that is negative, not finite or of another shape.
     """
-    windows = dataset.windows(horizon, history=simulator.history_steps(dataset.control_dt))
+    dt = dataset.control_dt
+    windows = dataset.windows(horizon, history=simulator.history_steps(dt), past=simulator.past_steps(dt))
     labels = [e.robot if e.robot is not None else f"episode {e.name}" for e in dataset]
     names = tuple(dict.fromkeys(labels))
     owner = np.array([names.index(label) for label in labels])[windows.episode]
