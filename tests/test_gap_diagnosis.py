@@ -148,3 +148,13 @@ def test_another_robot_is_refused():
     )
     with pytest.raises(BadDataset, match="nq"):
         diagnose_gap(other, record(episodes=2))
+
+
+def test_differences_of_rounding_are_no_gap():
+    """Recordings without noise of a robot that differs in the last digits: nothing is left to explain."""
+    data = record(lambda model: model.dof_damping.__imul__(1 + 1e-13))
+    start = nominal().dof_damping[0]
+    assert start * (1 + 1e-13) != start
+    report = diagnose_gap(nominal(), data, windows=40)
+    assert (report.verdict, list(report.effects)) == ("no_gap", [])
+    assert max(max(abs(t.before - t.measured)) for t in report.traces) > 0

@@ -17,7 +17,7 @@ from nfpde.gap.levels import Yardstick, rare, shrink_interval
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
-from nfpde.gap.select import CLOSED, NEAR_FLOOR, Accepted, Selection, key
+from nfpde.gap.select import CLOSED, FLOOR_ERROR, NEAR_FLOOR, Accepted, Selection, key
 from nfpde.gap.separate import separating_experiment
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial
@@ -103,16 +103,26 @@ class Outcome:
 
         Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
         """
+        if self._exact:
+            return 0.0
         floor = self.yardstick.floor.mean((1, 2))
         return 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
 
     def rare(self) -> float:
         """Probability of the windows with the largest gap of both halves, were there nothing but noise."""
+        if self._exact:
+            return 1.0
         halves = [self.final.held, self.final.fit.residuals]
         gap = np.concatenate([self.yardstick.gap(r) for r in halves])
         block = np.concatenate([self.recordings.block, -1 - blocks_of(self.recordings.fit)])
         noise = np.concatenate([self.yardstick.gap(draw) for draw in self.yardstick.noise])
         return rare(gap, NEAR_FLOOR * noise, block)
+
+    @property
+    def _exact(self) -> bool:
+        """Whether no window shows anything beyond rounding, or beyond a trace of what there was."""
+        halves = [self.final.held, self.final.fit.residuals]
+        return max(float(self.yardstick.gap(r).max()) for r in halves) < FLOOR_ERROR
 
     def distance(self) -> Distance:
         """How far apart recorded and simulated states lie at the windows' ends."""

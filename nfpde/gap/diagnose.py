@@ -110,7 +110,7 @@ def diagnose_gap(
             final, accepted = selection.run(stage.base)
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
-    shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped))
+    shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
     near = shown if near is stage else near
     outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed)
     return answer(outcome, time.monotonic() - begin)

@@ -38,10 +38,13 @@ class Yardstick:
     capped: float = CAPPED
 
     @classmethod
-    def of(cls, noise: Array, base: Array, capped: float = CAPPED) -> Yardstick:
-        """From residuals that noise alone gives (draws, N, nv, C) and those of the base model (N, nv, C)."""
+    def of(cls, noise: Array, base: Array, capped: float = CAPPED, precision: Array | float = 0.0) -> Yardstick:
+        """From residuals that noise alone gives (draws, N, nv, C) and those of the base model (N, nv, C).
+
+        With `precision` (nv, C), differences of rounding are none of interest either, though nothing else is there.
+        """
         every = noise.reshape(-1, *noise.shape[2:])
-        total = calm(every**2, capped).mean(0) + KAPPA**2 * calm(base**2, capped).mean(0)
+        total = calm(every**2, capped).mean(0) + KAPPA**2 * calm(base**2, capped).mean(0) + np.square(precision)
         return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), noise, capped)
 
     def squares(self, residuals: Array) -> Array:

@@ -16,6 +16,9 @@ KAPPA = 0.03
 """Residuals below this share of what the base model leaves are not weighed: who explains the gap to 0.1 % of its
 variance explains it, and which of two such effects fits closer is a matter of numerics, not of evidence."""
 
+PRECISION = 1e-7
+"""Share of the motion below which differences are those of rounding, of solvers and of compilers."""
+
 LOST = 1e3
 """A diverged window counts as a residual of so many times the floor in every channel: bad, but not beyond bounds."""
 
@@ -79,6 +82,10 @@ def floor_of(residuals: Array, moved: Array) -> Array:
     squares = residuals**2
     squares = np.minimum(squares, np.nanquantile(squares, 0.98, axis=0))  # one bad window shall not hide the rest
     typical = np.sqrt(np.nanmean(squares, axis=0))
+    return np.maximum(KAPPA * typical, precision_of(moved))
+
+
+def precision_of(moved: Array) -> Array:
+    """What simulations of the same motion may differ by (nv, C), where channels change by (N, nv, C)."""
     spread = np.sqrt((moved**2).mean(0))
-    spread = np.maximum(spread, 1e-6 * spread.max(initial=0.0) + 1e-12)
-    return np.maximum(KAPPA * typical, 1e-7 * spread)
+    return PRECISION * np.maximum(spread, 1e-6 * spread.max(initial=0.0) + 1e-12)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm
 from nfpde.gap.loud import loudness
-from nfpde.gap.noise import floor_of, learn_scatter
+from nfpde.gap.noise import floor_of, learn_scatter, precision_of
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
@@ -32,6 +32,7 @@ class Stage:
     court: fits and judges
     yardstick: measures the gap
     sigma: noise of the sensors (2 nv,)
+    precision: what simulations of the same motion may differ by (nv, C)
     """
 
     recordings: Recordings
@@ -40,6 +41,7 @@ class Stage:
     court: Court
     yardstick: Yardstick
     sigma: Array
+    precision: Array
 
     def shown(self, trial: Trial, *, refitted: bool) -> Trial:
         """A trial of windows of another length on these.
@@ -122,13 +124,15 @@ def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> St
     fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
     other = replace(court.held, loudness=loud[fit.shape[1] :])
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
-    floor = floor_of(found.residuals, _moved(found.replay, recordings))
+    moved = _moved(found.replay, recordings)
+    floor, precision = floor_of(found.residuals, moved), precision_of(moved)
     quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     found = fitter.linearise(court.settle(fitter.rescale(found, court.scatter(found))))
     base = court.judge(None, found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
-    return Stage(recordings, nominal, base, court, Yardstick.of(held / other.scale, base.held, court.capped), sigma)
+    yardstick = Yardstick.of(held / other.scale, base.held, court.capped, precision)
+    return Stage(recordings, nominal, base, court, yardstick, sigma, precision)
 
 
 def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
