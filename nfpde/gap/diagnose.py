@@ -102,12 +102,9 @@ def diagnose_gap(
     stage = near
     if lengths[-1] is not recordings:
         stage = _stage_after(near, recordings, guesses, seed)
-        selection = replace(selection, court=stage.court, yardstick=stage.yardstick, sigma=stage.sigma)
+        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
+        final = stage.shown(final, refitted=True) if accepted else stage.base
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
-        if accepted:
-            final = stage.shown(final, refitted=True)
-        else:  # little by little, a weak effect grows above the noise
-            final, accepted = selection.run(stage.base)
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
