@@ -14,7 +14,7 @@ def moves(model: mujoco.MjModel, body: int) -> bool:
 def is_simple(model: mujoco.MjModel, body: int) -> bool:
     """Whether MuJoCo compiled the body as a free one with its centre of mass at its origin, which then must stay there.
 
-    `<body simple="false">` in the model lifts that.
+    `<body simple="false">` in the model lifts that, and so does giving the model as a path; see `load_model`.
     """
     return int(model.body_simple[body]) != 0
 

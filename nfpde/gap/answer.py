@@ -38,11 +38,6 @@ QUIET = 0.1
 
 TRACES = 6
 
-_COMPUTED = (
-    "Nobody measured the velocities of {}: they are differences of the positions, which miss what happens within a "
-    "control step, and that counts as gap here. Record velocities, or positions at a higher rate."
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -189,10 +184,18 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
         distance=apart,
         base=parameters,
         ladder=_ladder(outcome, gap),
-        summary=[
-            *summary(verdict, gap, effects, where, parameters, force, apart, ahead, ranking[0] if ranking else None),
-            *([_COMPUTED.format(outcome.computed)] if outcome.computed and verdict != "no_gap" else []),
-        ],
+        summary=summary(
+            verdict,
+            gap,
+            effects,
+            where,
+            parameters,
+            force,
+            apart,
+            ahead,
+            ranking[0] if ranking else None,
+            outcome.computed,
+        ),
         gap_map=found,
         traces=_traces(outcome),
         residual_force=force,

@@ -12,12 +12,9 @@ from scipy.spatial.transform import Rotation
 from nfpde.dataset import Dataset
 from nfpde.elements import element_names
 from nfpde.errors import BadDataset
-from nfpde.gap.readings import CURED
+from nfpde.gap.readings import CURED, SPAN
 
 Array = NDArray[np.float64]
-
-_SPAN = 10
-"""Rows over which motion is added up: far more than one row's, and the noise of readings is the same."""
 
 _ORDER = (
     "its quaternions look recorded as x, y, z, w, and MuJoCo's begin with w",
@@ -117,7 +114,7 @@ def _refuse(name: str, found: list[tuple[str, str]], error: float, own: float, o
 
 def _apart(told: Array, moved: Array) -> float:
     """Squared difference of motions, added up over spans, as a share of the motion; 1 where nothing moves."""
-    starts = np.arange(0, len(moved), _SPAN)
+    starts = np.arange(0, len(moved), SPAN)
     told, moved = (np.add.reduceat(steps, starts, axis=0) for steps in (told, moved))
     size = float((moved**2).sum())
     return float(((told - moved) ** 2).sum()) / size if size > 0 else 1.0

@@ -24,7 +24,7 @@ DEGREES = 180.0 / np.pi
 _UNIT = 0.1
 """How far a ratio of position to speed may be from that of degrees, as a share: scales of sensors are off by less."""
 
-_SPAN = 10
+SPAN = 10
 """Rows over which changes of position and speeds are compared: far more than one row's, their noise is the same."""
 
 _ROUNDED = 1e-5
@@ -81,9 +81,9 @@ class Readings:
         inside = np.ones(ends[-1] - 1, dtype=bool)
         inside[ends[:-1] - 1] = False
         spans = [
-            (end - n + first, min(end - n + first + _SPAN, end - 1))
+            (end - n + first, min(end - n + first + SPAN, end - 1))
             for n, end in zip(lengths, ends, strict=True)
-            for first in range(0, n - 1, _SPAN)
+            for first in range(0, n - 1, SPAN)
         ]
         return cls(
             axes,

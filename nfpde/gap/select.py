@@ -122,8 +122,10 @@ class Selection:
     def _pruned(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Without effects that the others have made superfluous."""
         for index in reversed(range(len(accepted))):
+            if len(accepted) == 1:
+                break
             smaller, gap = self.without(current, index), self._whole_gap(current)
-            if len(accepted) > 1 and self._whole_gap(smaller) - gap < self._worth(gap, first_gap):
+            if self._whole_gap(smaller) - gap < self._worth(gap, first_gap):
                 current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
         return current, accepted
 

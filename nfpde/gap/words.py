@@ -35,10 +35,12 @@ def summary(
     apart: Distance,
     ahead: float,
     closest: Cause | None = None,
+    computed: str = "",
 ) -> list[str]:
     """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on.
 
-    `closest` is the effect that would shrink the gap most, proven or not.
+    `closest` is the effect that would shrink the gap most, proven or not; `computed` names the joints whose velocities
+    nobody measured.
     """
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
@@ -78,6 +80,12 @@ def summary(
             if force.share >= 0.01
             else f"None of the known effects explains what is left. {free} nothing either: look for what changes "
             "otherwise, such as contact, another joint, noise of the commands, time stamps."
+        )
+    if computed and verdict != "no_gap":
+        lines.append(
+            f"Nobody measured the velocities of {computed}: they are differences of the positions, which miss what "
+            "happens within a control step, and that counts as gap here. Record velocities, or positions at a higher "
+            "rate."
         )
     return lines
 

@@ -149,12 +149,14 @@ class MujocoSimulator(Simulator):
         history = min(self.history_steps(windows.control_dt), windows.nhistory)
         signal = effects.commands(windows, window, history, nsub, past)
         if past and before_step is not None:
-            rows = windows.past[window, windows.past.shape[1] - past :]
-            known: NDArray[np.bool_] = np.asarray(np.isfinite(rows).all(2))
-            sent = windows.history[window, windows.nhistory - past :] if signal is None else signal
-            rows = np.stack([*(effects.to_simulated(rows[:, i]) for i in range(past)), start], axis=1)
+            measured = windows.past[window, windows.past.shape[1] - past :]
+            known: NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(2))
+            rows = np.stack([*(effects.to_simulated(measured[:, i]) for i in range(past)), start], axis=1)
+            sent = signal
+            if sent is None:
+                sent = windows.history[window, windows.nhistory - past :].repeat(nsub, axis=1)
             for k, (q, v) in enumerate(recorded_motion(self.model, rows, windows.control_dt, nsub)):
-                qpos[:], qvel[:], ctrl[:] = q, v, sent[:, k // nsub if signal is None else k]
+                qpos[:], qvel[:], ctrl[:] = q, v, sent[:, k]
                 before_step.recall(known[:, k // nsub])
         signal = None if signal is None else signal[:, past * nsub :]
         qpos[:], qvel[:] = start[:, :nq], start[:, nq:]
