@@ -363,6 +363,8 @@ class Worth(Selection):
     def _whole_gap(self, trial: Any):
         return 10.0 - sum(self.removes[e] for e in trial.effects)
 
+    _usual_gap = _whole_gap
+
 
 def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
     """Of three effects the one that removes nothing any more goes, the others stay in their order."""

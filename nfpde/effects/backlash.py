@@ -44,6 +44,7 @@ class Backlash(Effect):
     kind = "actuator"
     quantities = (Quantity("width", "rad", 0.0, math.inf, neutral=0.0),)
     step_fields = (*DRIVE_FIELDS, "dof_armature")
+    threshold = True
     sentence = "The gear has play: after a change of the torque's direction the motor turns freely for a moment."
     confounders = ("dead_zone", "coulomb_friction", "stribeck_friction", "actuation_delay")
 

@@ -26,6 +26,7 @@ class DeadZone(Effect):
     kind = "actuator"
     quantities = (Quantity("half_width", "ctrl unit", 0.0, math.inf, neutral=0.0),)
     step_fields = ("actuator_biasprm", "actuator_gainprm", "actuator_gear")
+    threshold = True
     sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold."
     confounders = ("coulomb_friction", "backlash", "stribeck_friction", "motor_strength")
 

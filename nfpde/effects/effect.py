@@ -109,6 +109,8 @@ class Effect:
     """Effects that explain much of the same data."""
     whole: ClassVar[str] = "all"
     """What an effect without a target acts on, in reports."""
+    threshold: ClassVar[bool] = False
+    """Whether it acts only from a torque, a command or a play on that its values name, and does nothing short of it."""
 
     ids: Rows
     dofs: Rows

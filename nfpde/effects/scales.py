@@ -29,6 +29,7 @@ class DataScales:
     ctrl: distance of each command from zero (nu,)
     ctrl_spread: distance of each command from its mean (nu,)
     actuator_force: of each actuator, before its gear (nu,)
+    actuator_peak: its largest (nu,)
     length: size of the robot [m]
     """
 
@@ -41,6 +42,7 @@ class DataScales:
     ctrl: Array
     ctrl_spread: Array
     actuator_force: Array
+    actuator_peak: Array
     length: float
 
     @classmethod
@@ -84,6 +86,7 @@ class DataScales:
             ctrl=_positive(_rms(ctrl)),
             ctrl_spread=_positive(ctrl.std(0)),
             actuator_force=_positive(_rms(np.array(drives))),
+            actuator_peak=_positive(np.abs(drives).max(0)),
             length=_size(model),
         )
 

@@ -16,6 +16,9 @@ from nfpde.effects.scales import DataScales
 _FREE = 1e12
 """A limit that nothing reaches."""
 
+_ABOVE = 4.0
+"""The highest limit that is tried, in largest torques: nothing would reach it, were the model right."""
+
 
 @register
 class TorqueLimit(Effect):
@@ -27,22 +30,24 @@ class TorqueLimit(Effect):
     name = "torque_limit"
     kind = "actuator"
     quantities = (Quantity("limit", "Nm", 0.0, math.inf, neutral=_FREE, log=True),)
+    threshold = True
     sentence = "The motor or its electronics cut the torque off at a limit."
     confounders = ("torque_speed", "motor_strength", "dead_zone")
     joints: Rows
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """From a tenth of the typical torque at the joint to ten times it."""
+        """From a tenth of the typical torque at the joint to several times the largest."""
         if element < 0 or driven_joint(model, element) < 0:
             return None
-        torque = float(scales.actuator_force[element] * abs(model.actuator_gear[element, 0]))
-        return {"limit": (0.1 * torque, 10 * torque)} if torque > 0 else None
+        gear = abs(model.actuator_gear[element, 0])
+        typical, peak = (float(force[element] * gear) for force in (scales.actuator_force, scales.actuator_peak))
+        return {"limit": (0.1 * typical, _ABOVE * peak)} if typical > 0 else None
 
     def screened(self, scales: DataScales) -> Array:
-        """Limits that cut off much, some and little."""
-        typical = 0.1 * self.parameters[0].high
-        return typical * np.array([[0.5], [0.8], [1.2], [1.7]])
+        """Limits from one that cuts off much, always, to one that cuts off little of the largest torque, seldom."""
+        typical, peak = 10 * self.parameters[0].low, self.parameters[0].high / _ABOVE
+        return np.geomspace(0.5 * typical, 0.95 * peak, 6)[:, None]
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; the actuators must act on joints with a limited force range or none.

@@ -17,6 +17,9 @@ from nfpde.elements import joint_dofs
 _FREE = 1e12
 """A speed, or a torque, that nothing reaches."""
 
+_ABOVE = 15.0
+"""The largest torque at rest that is tried, in largest torques: a steep line matters at speed only."""
+
 
 @register
 class TorqueSpeed(Effect):
@@ -35,6 +38,7 @@ class TorqueSpeed(Effect):
         Quantity("stall_torque", "Nm", 0.0, math.inf, neutral=_FREE, log=True),
     )
     step_fields = ("jnt_actfrcrange",)
+    threshold = True
     sentence = "The motor gives less torque the faster it turns, and none beyond its no-load speed."
     confounders = ("torque_limit", "viscous_damping", "motor_strength")
 
@@ -42,22 +46,23 @@ class TorqueSpeed(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """From half the typical speed and a third of the typical torque at the joint to ten times them."""
+        """From half the typical speed and a third of the typical torque at the joint to many times them."""
         joint = driven_joint(model, element)
         if joint < 0:
             return None
-        torque = float(scales.actuator_force[element] * abs(model.actuator_gear[element, 0]))
+        gear = abs(model.actuator_gear[element, 0])
+        torque, peak = (float(force[element] * gear) for force in (scales.actuator_force, scales.actuator_peak))
         speed = float(scales.speed[model.jnt_dofadr[joint]])
         if torque <= 0 or speed <= 0:
             return None
-        return {"no_load_speed": (0.5 * speed, 20 * speed), "stall_torque": (0.3 * torque, 20 * torque)}
+        return {"no_load_speed": (0.5 * speed, 20 * speed), "stall_torque": (0.3 * torque, _ABOVE * peak)}
 
     def screened(self, scales: DataScales) -> Array:
-        """Lines that cut off much and little, by the speed and by the torque."""
-        speed, torque = (p.high / 20 for p in self.parameters)
-        pairs = ((1.5, 3.0), (3.0, 3.0), (1.5, 10.0), (3.0, 10.0), (8.0, 1.5), (8.0, 0.8))
+        """Lines that cut off much and little, by the speed and by the torque, the last of the largest torque alone."""
         low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
-        return np.clip([[v * speed, t * torque] for v, t in pairs], low, high)
+        speed, torque, peak = high[0] / 20, low[1] / 0.3, high[1] / _ABOVE
+        pairs = ((1.5, 3.0), (3.0, 3.0), (1.5, 10.0), (3.0, 10.0), (8.0, 1.5), (8.0, 0.8), (8.0, peak / torque))
+        return np.clip([[v * speed, t * torque] for v, t in pairs], 1.01 * low, 0.99 * high)
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.

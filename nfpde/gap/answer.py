@@ -217,15 +217,10 @@ def _verdict(gap: Level, over_floor: float, rare: float, *, named: bool, sound: 
     Effects that all lean on their bounds (not `sound`) are stretched beyond what any robot has, and explain nothing
     where they leave more than noise: units of the recordings that are wrong do that.
     """
-    if over_floor <= NEAR_FLOOR or gap.after_effects < SPOTLESS:
-        return "effects" if named else "no_gap" if rare > ALARM else "unexplained"
-    if (
-        named
-        and sound
-        and gap.after_effects - gap.noise_floor <= (1 - CLOSED) * (gap.after_parameters - gap.noise_floor)
-    ):
-        return "effects"
-    return "unexplained"
+    if rare > ALARM and (over_floor <= NEAR_FLOOR or gap.after_effects < SPOTLESS):
+        return "effects" if named else "no_gap"
+    beyond, left = (share - gap.noise_floor for share in (gap.after_parameters, gap.after_effects))
+    return "effects" if named and sound and left <= (1 - CLOSED) * beyond else "unexplained"
 
 
 def _causes(outcome: Outcome) -> list[Cause]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.effects import Effect
 from nfpde.gap.chart import all_over
 from nfpde.gap.fit import Fit
 from nfpde.gap.noise import Scatter
@@ -21,9 +22,13 @@ GUESSES = 3
 LOOKS = 16
 """Values looked at for a guess, for each parameter of an effect."""
 
+THRESHOLD_LOOKS, CLOSER_THRESHOLD_LOOKS, CLOSER_THRESHOLD = 64, 16, (1 / 8, 1 / 64)
+"""The same of an effect that acts from a threshold on, then closer and closer about each of the best: beyond what the
+recordings reach it has no slope to follow, and where they reach it seldom, a tenth less cuts off what was sound."""
+
 CONTACT_LOOKS, CLOSER_LOOKS, CLOSER = 128, 32, (1 / 16, 1 / 256)
-"""The same in all for what contacts do, then closer and closer about each of the best: a floor only a little higher or
-lower than it is explains nothing. Shares of the bounds that are looked at then."""
+"""The same in all for what contacts do: a floor only a little higher or lower than it is explains nothing. Shares of
+the bounds that are looked at then."""
 
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
@@ -102,12 +107,11 @@ class Refitting:
         starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in (base.xi, straight)]
         guesses = np.concatenate(starts)
         # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
-        contact = screened.effect.whole == "contact"
-        looks = CONTACT_LOOKS if contact else LOOKS * values.shape[1]
+        looks, closer, shares = _looks(screened.effect)
         guesses = np.concatenate([guesses, all_over(replay, index, guesses[0], looks)])
-        for share in CLOSER if contact else ():
+        for share in shares:
             best = self._few.best(replay, guesses, by, GUESSES, self._few_part)
-            guesses = np.concatenate([best, *(all_over(replay, index, xi, CLOSER_LOOKS, share) for xi in best)])
+            guesses = np.concatenate([best, *(all_over(replay, index, xi, closer, share) for xi in best)])
         # an effect whose part the parameters have played can be worse than none until they give it back
         guesses = self._few.best(replay, guesses, by, GUESSES, self._few_part)
         fit = self._some.start(replay, guesses, by)
@@ -119,3 +123,13 @@ class Refitting:
         fit = self._court.fitter.start(screened.replay, fit.xi[None], self._base.scatter)
         fit.slopes[: len(self._base.xi)] = self._base.slopes
         return self._court.fitter.rescale(fit, self._court.scatter(fit))
+
+
+def _looks(effect: Effect) -> tuple[int, int, tuple[float, ...]]:
+    """Values looked at all over an effect's bounds, about each of the best, and how closely."""
+    if effect.whole == "contact":
+        return CONTACT_LOOKS, CLOSER_LOOKS, CLOSER
+    count = len(effect.quantities)
+    if effect.threshold:
+        return THRESHOLD_LOOKS * count, CLOSER_THRESHOLD_LOOKS * count, CLOSER_THRESHOLD
+    return LOOKS * count, 0, ()

@@ -17,6 +17,7 @@ from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
+from nfpde.gap.trial import LEAST_GAIN
 
 Array = NDArray[np.float64]
 
@@ -100,9 +101,11 @@ def screen(
         judged = [_judge(effect, values, v.residual, v.changes(there), v.gain(there)) for v in views]
         found.append((effect, replay, values, judged))
     best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
+    # a scatter by which nothing explains more than chance ranks by chance, where the other one knows
+    least = LEAST_GAIN if max(best) >= LEAST_GAIN else 0.0
     out = []
     for effect, replay, values, judged in found:
-        shares = [j.explained / most if most > 0 else 0.0 for j, most in zip(judged, best, strict=True)]
+        shares = [j.explained / most if most > least else 0.0 for j, most in zip(judged, best, strict=True)]
         every = zip(views, judged, shares, strict=True)
         starts = tuple((v.scatter, j.guesses) for v, j, share in every if share >= SHARE)
         explained = tuple(j.explained for j in judged)

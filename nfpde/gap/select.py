@@ -15,7 +15,7 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, Court, Trial, block_test, noise_of
+from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, Court, Trial, block_test, likelihood_test, noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -124,14 +124,21 @@ class Selection:
         for index in reversed(range(len(accepted))):
             if len(accepted) == 1:
                 break
-            smaller, gap = self.without(current, index), self._whole_gap(current)
-            if self._whole_gap(smaller) - gap < self._worth(gap, first_gap):
+            smaller = self.without(current, index)
+            if not self._shrinks(current, smaller, first_gap):
                 current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
         return current, accepted
 
-    def _worth(self, gap: float, first_gap: float) -> float:
-        """By how much an effect must shrink a gap to be named."""
-        return min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR))
+    def _shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
+        """Whether a trial shrinks the gap by so much more than another that the effect between them is worth a name.
+
+        On the whole, or in most windows: a few may be large by what another effect does there.
+        """
+        gap = self._whole_gap(current)
+        if gap - self._whole_gap(trial) >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
+            return True
+        usual = self._usual_gap(current)
+        return usual - self._usual_gap(trial) >= max(WORTH * usual, FLOOR_ERROR)
 
     def _carried(
         self, base: Trial, trial: Trial, accepted: list[Accepted], first_gap: float
@@ -181,6 +188,11 @@ class Selection:
     def _whole_gap(self, trial: Trial) -> float:
         """The gap over both halves: an effect may act so seldom that one half shows nothing of it."""
         return float(np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)]).mean())
+
+    def _usual_gap(self, trial: Trial) -> float:
+        """The geometric mean over the windows of both halves, in which a few large ones count little."""
+        gaps = np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)])
+        return float(np.exp(np.log(np.maximum(gaps, 1e-300)).mean()))
 
     def _converged(self, fit: Fit) -> Trial:
         """A fit brought to its end, so that the next effect does not make up for what is left of the way."""
@@ -249,20 +261,19 @@ class Selection:
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self._whole_gap(current)
-        worth = self._worth(gap, first_gap)
-        tried = len(trials)
         # what fits the noise better and leaves the gap explains nothing
-        trials = [t for t in trials if gap - self._whole_gap(t) >= worth]
+        worthy = [t for t in trials if self._shrinks(t, current, first_gap)]
         # each is tested at its share of the level: any that passes has been asked for
-        tests = [(trial, *self.court.gain(trial, current)) for trial in trials]
-        gains = [(trial, gain) for trial, gain, _, p in tests if gain > 0 and p <= LEVEL / tried]
+        gains = [(t, g) for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0]
         if not gains:
             return None
         best, gain = gains[0]
         sure = [trial for trial, _ in gains]
-        block = self.court.block
+        block, likelier = self.court.block, []
+        if self.sigma is not None:  # what is likelier still may be worth more over longer windows
+            likelier = [t for t in trials if t not in worthy and t.density.mean() > best.density.mean()]
         near, equal = [], []
-        for trial in trials:
+        for trial in (beside := [*likelier, *worthy]):
             behind, error, apart = block_test(best.density - trial.density, block)
             if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
                 near.append(trial)
@@ -272,7 +283,27 @@ class Selection:
         chosen = min((t for t in near if t in sure), key=lambda t: (len(_parameters(t)), -t.density.mean()))
         if chosen.effect is None:
             return None
-        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(trials))
+        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(beside))
+
+    def _gain(self, trial: Trial, current: Trial, level: float) -> float:
+        """Held-out log density gained per window, where it is sure; else nothing.
+
+        What acts seldom gains in too few blocks for their scatter to tell. Where it leaves no more than noise would,
+        densities mean what they say, and their sum counts.
+        """
+        gain, _, p = self.court.gain(trial, current)
+        if p > level and likelihood_test(trial.density - current.density, self.court.block) <= level:
+            p = 0.0 if self._closes(trial, current) else p
+        return gain if p <= level else 0.0
+
+    def _closes(self, trial: Trial, current: Trial) -> bool:
+        """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
+        if not self._at_floor(trial):
+            return False
+        # beside contacts the floor is known to a factor only
+        floor = 0.0 if self.sigma is not None else float(self.yardstick.floor.mean())
+        left = max(self._whole_gap(trial) - floor, FLOOR_ERROR)
+        return self._whole_gap(current) - floor >= left / (1 - CLOSED)
 
     def _equal(self, gap: float, best: Trial, trial: Trial, untold: bool) -> bool:
         """Whether a trial explains the same as the best, of a gap, where densities do not tell them apart, or do.

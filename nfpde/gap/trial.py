@@ -135,3 +135,13 @@ def block_test(gain: Array, block: NDArray[np.intp]) -> tuple[float, float, floa
     by_mean = float(student.sf(mean / error, len(means) - 1)) if error > 0 else 0.0 if mean > 0 else 1.0
     by_rank = float(np.asarray(wilcoxon(means, alternative="greater"))[1])
     return mean, error, min(1.0, 2 * min(by_mean, by_rank))
+
+
+def likelihood_test(gain: Array, block: NDArray[np.intp]) -> float:
+    """Bound on the probability that window values (N,) sum to so much by chance, without the block that speaks loudest.
+
+    A model that recordings no fit saw make exp(x) times as likely as the true one has a chance of at most exp(-x)
+    (split likelihood ratio: Wasserman, Ramdas and Balakrishnan, PNAS 2020).
+    """
+    sums = np.bincount(np.unique(block, return_inverse=True)[1], weights=gain)
+    return float(np.exp(-max(0.0, sums.sum() - sums.max(initial=0.0))))

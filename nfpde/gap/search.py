@@ -1,0 +1,143 @@
+"""The search for effects, from the fit of the parameters alone to what is accepted on the longest windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset
+from nfpde.effects import Effect
+from nfpde.gap.brief import brief
+from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
+from nfpde.gap.replay import Replay
+from nfpde.gap.select import Accepted, Selection
+from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.trial import Trial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    recordings: in the longest windows
+    near: the stage of the last selection
+    selection: that selection, with the simulated steps of all
+    final: the parameters and what was accepted
+    accepted: effects in the order of their acceptance
+    early: whether windows start in the first rows of episodes, too
+    """
+
+    recordings: Recordings
+    near: Stage
+    selection: Selection
+    final: Trial
+    accepted: list[Accepted]
+    early: bool
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an accepted effect acts by commands from before a window."""
+        return any(a.effect.memory_time() > 0 for a in self.accepted)
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Looks for effects.
+
+    start: the nominal model with its free parameters
+    dataset: the recordings
+    candidates: effects with the values to screen
+    guesses: free parameters to start from, the nominal ones first (G, D)
+    windows: of each half, at most
+    seed: decides which episodes are held out, and all draws
+    select: the selection of a stage
+    report: called with what is being done
+    """
+
+    start: Replay
+    dataset: Dataset
+    candidates: Sequence[tuple[Effect, Array]]
+    guesses: Array
+    windows: int
+    seed: int
+    select: Callable[[Stage], Selection]
+    report: Callable[[str], None]
+
+    @property
+    def touches(self) -> bool:
+        """Whether the model can touch anything."""
+        return any(e.whole == "contact" for e, _ in self.candidates)
+
+    def cut(self, lead: int | None = None, held: NDArray[np.intp] | None = None) -> Recordings:
+        """The recordings in the longest windows.
+
+        Args:
+            lead: Rows at an episode's beginning in which none starts; None: as many as a single effect remembers.
+            held: Episodes to hold out; None: as the seed decides.
+        """
+        history, rows = _history(self.candidates, self.dataset.control_dt)
+        return cut_recordings(self.dataset, history, self.seed, self.windows, rows if lead is None else lead, held)
+
+    def run(self) -> Found:
+        """Search; windows at the beginning of episodes count where they show most.
+
+        What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
+        most for that reason, and the search is run again without them.
+        """
+        found = self._run(early=None)
+        if found.early and found.remembers:
+            again, steps = self._run(early=False), found.selection.steps
+            again.selection.steps += steps
+            return again
+        return found
+
+    def _run(self, *, early: bool | None) -> Found:
+        """Search with windows at the beginning of episodes or without them; None: where they show most."""
+        self.report("fitting the parameters")
+        recordings, lead = self.cut(), None
+        lengths = self._lengths(recordings)
+        base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
+        every = self.cut(0)
+        rows = _history(self.candidates, self.dataset.control_dt)[1]
+        if early is None and begins_worse(base, court, self._lengths(every)[0], rows):
+            recordings, lead, lengths = every, 0, self._lengths(every)
+            base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
+        held = alike_halves(lengths[0], gaps(base, court), self.seed)
+        if held is not None:
+            recordings = self.cut(lead, held)
+            lengths = self._lengths(recordings)
+            base, court = moved_over(base, court, lengths[0])
+        self.report("noise of the sensors")
+        near = in_noise(base, court, lengths[0], self.seed)
+        selection = self.select(near)
+        final, accepted = selection.run(near.base)
+        for longer in lengths[1:]:
+            self.report("longer windows")
+            near = self.after(near, longer)
+            selection = replace(selection, court=near.court, yardstick=near.yardstick, sigma=near.sigma)
+            final, accepted = selection.run(near.base, (final, accepted))
+        return Found(recordings, near, selection, final, accepted, lead == 0)
+
+    def after(self, before: Stage, longer: Recordings) -> Stage:
+        """The stage of longer windows, its base fitted from the guesses and from the base of the shorter ones."""
+        fit = before.base.fit
+        base, court = first_fit(fit.replay, longer, np.vstack([self.guesses, fit.xi]), capped=True)
+        return in_noise(base, court, longer, self.seed)
+
+    def _lengths(self, recordings: Recordings) -> list[Recordings]:
+        """The recordings in windows of the lengths that are fitted, shortest first."""
+        return (brief(recordings) if self.touches else []) or [recordings]
+
+
+def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:
+    """Commands from before a window that any combination of three effects may need, and that any single one may."""
+    times = sorted((e.memory_time() for e, _ in candidates), reverse=True)[:3]
+    recall = int(np.ceil(max((e.recall_time() for e, _ in candidates), default=0.0) / control_dt - 1e-9))
+    if not times or times[0] <= 0:
+        return recall, 0
+    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2 + recall, int(np.ceil(times[0] / control_dt - 1e-9))

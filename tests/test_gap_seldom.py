@@ -1,0 +1,177 @@
+"""Effects that act in few of the windows: how they are looked for, ranked, proven and counted."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from nfpde.effects import effect
+from nfpde.gap import diagnose_gap
+from nfpde.gap.answer import ALARM, _verdict
+from nfpde.gap.fit import Fitter
+from nfpde.gap.levels import Yardstick
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.report import Level
+from nfpde.gap.screen import screen
+from nfpde.gap.search import Found, Search
+from nfpde.gap.select import Selection
+from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
+from tests.gap_systems import nominal, record
+
+ANYTHING: Any = None
+BLOCK = np.arange(40) // 4
+
+
+def trial(effect, density, residuals):
+    """A trial that leaves the same residuals in both halves."""
+    fit: Any = SimpleNamespace(residuals=residuals)
+    return Trial(effect, fit, density, residuals)
+
+
+def selection(noise):
+    """A selection whose windows show nothing but this noise (N, nv, C) where a model is right."""
+    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0))
+    return Selection(ANYTHING, None, 1, court, Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0), [])
+
+
+def test_likelihood_ratios_are_no_more_often_large_than_they_say():
+    """Of draws of the null model at most a share p are called less likely than p; of the other model nearly all are."""
+    rng = np.random.default_rng(20)
+    shift, at = 0.5, np.arange(200) // 5
+
+    def called(mean, p):
+        draws = mean + rng.normal(size=(2000, 200))
+        gains = norm.logpdf(draws, shift) - norm.logpdf(draws)
+        return np.mean([likelihood_test(gain, at) <= p for gain in gains])
+
+    assert called(0.0, 0.05) <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / 2000)
+    assert called(shift, 0.05) > 0.99
+
+
+def test_one_block_is_no_proof():
+    """However much is gained in it; in two blocks the lesser counts."""
+    gain = np.where(BLOCK == 3, 100.0, 0.0)
+    assert likelihood_test(gain, BLOCK) == 1.0
+    assert likelihood_test(np.where(BLOCK == 5, 1.0, gain), BLOCK) == pytest.approx(np.exp(-4.0))
+
+
+@pytest.mark.parametrize(("blocks", "left", "named"), [(2, 1.0, True), (2, 3.0, False), (1, 1.0, False)])
+def test_what_acts_in_few_blocks_is_named_where_it_closes_the_gap(blocks, left, named):
+    """Two blocks of ten are too few for any test of means; a gap that closes in them to the noise is proof."""
+    rng = np.random.default_rng(21)
+    noise = rng.normal(size=(40, 2, 4))
+    acts = np.isin(BLOCK, range(blocks))[:, None, None]
+    base = trial(None, np.zeros(40), np.where(acts, 30.0, 1.0) * noise)
+    limit = effect("torque_limit", "bend", limit=(1.0, 9.0))
+    gain = np.where(acts.ravel(), 50.0, -0.01)
+    chosen = selection(noise)
+    assert chosen.court.gain(trial(limit, gain, noise), base)[2] > LEVEL
+    found = chosen._accept(base, [trial(limit, gain, np.where(acts, left, 1.0) * noise)], chosen._whole_gap(base))
+    assert (found is not None) is named
+
+
+def test_an_effect_is_worth_a_name_beside_a_rare_one_that_is_much_larger():
+    """It leaves the few windows that hold nearly all of the gap as they are, and halves all others."""
+    rng = np.random.default_rng(22)
+    noise = rng.normal(size=(40, 2, 4))
+    rare = np.arange(40)[:, None, None] == 7
+    base, without_rare = np.where(rare, 1000.0, 4.0) * noise, np.where(rare, 1001.0, 2.0) * noise
+    common = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    chosen = selection(noise)
+    current, better = trial(None, np.zeros(40), base), trial(common, rng.uniform(1, 2, 40), without_rare)
+    assert chosen._whole_gap(better) > chosen._whole_gap(current)
+    found = chosen._accept(current, [better], chosen._whole_gap(current))
+    assert found is not None
+    assert found[1].effect is common
+
+
+class Change:
+    """A replay of a base that leaves `start`, and of one effect that adds `change` times its value."""
+
+    def __init__(self, start, change):
+        self.start, self.change = start, change
+        self.nfree, self.low, self.high = 1, np.zeros(1), np.ones(1)
+
+    def inward(self, xi):
+        return xi
+
+    def outward(self, u):
+        return u
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return self.start + xi[:, :1, None, None] * self.change
+
+
+def test_a_scatter_by_which_nothing_is_explained_does_not_rank():
+    """With tails as heavy as a rare gap makes them, one nat is most of all: another scatter decides."""
+    rng = np.random.default_rng(23)
+    noise = 0.01 * rng.normal(size=(60, 1, 2))
+    gap = np.where(np.arange(60)[:, None, None] < 3, 5.0, 0.0) * np.ones((60, 1, 2))
+    start = noise + gap
+    heavy, quiet = (learn_scatter(r, 0, 1e-6 * np.ones((1, 2))) for r in (1e3 * start, noise))
+    right, idle = (effect("coulomb_friction", t, torque=(0.0, 1.0)) for t in ("elbow", "shoulder"))
+    changes = {"elbow": Change(start, -gap), "shoulder": Change(start, -0.01 * gap)}
+    empty: Any = SimpleNamespace(
+        replay=None,
+        xi=np.zeros(0),
+        scatter=heavy,
+        residuals=start,
+        slopes=np.zeros((0, *start.shape)),
+    )
+    tried = [(e, np.array([[0.9]])) for e in (idle, right)]
+    with_effect: Any = lambda e: changes[e.place]  # noqa: E731
+    found = screen(Fitter(ANYTHING, (1, 2)), empty, tried, with_effect, quiet)
+    assert found[0].effect is right
+    assert max(s.explained[0] for s in found) < 5.0
+    assert all(len(s.starts) == 1 and s.starts[0][0] is quiet for s in found if s.share > 0.25)
+
+
+def test_named_effects_that_leave_a_rare_gap_explain_nothing():
+    """Where the mean over blocks is uncertain, windows far beyond all noise count, unless most of the gap is gone."""
+    much, little = Level(1.0, 1.0, 1.04, 0.01), Level(1.0, 1.0, 0.05, 0.01)
+    assert _verdict(much, 1.0, 0.1 * ALARM, named=True) == "unexplained"
+    assert _verdict(much, 1.0, 10 * ALARM, named=True) == "effects"
+    assert _verdict(little, 1.0, 0.1 * ALARM, named=True) == "effects"
+
+
+def saturate_and_rub(model):
+    model.actuator_forcelimited[1], model.actuator_forcerange[1] = 1, (-2.7, 2.7)
+    model.dof_frictionloss[0] = 0.2
+
+
+def test_a_limit_that_is_seldom_reached_is_found_beside_another_fault():
+    """Friction at the shoulder, which acts always, and a torque limit at the elbow that few commands exceed."""
+    data = record(saturate_and_rub, noise=1e-3, episodes=16)
+    beyond = np.concatenate([np.abs(e.ctrl[:, 1]) > 2.7 for e in data])
+    assert 0 < beyond.mean() < 0.02
+    found = diagnose_gap(nominal(), data)
+    assert found.verdict == "effects"
+    assert {(c.effect, c.target) for c in found.effects} == {("coulomb_friction", "shoulder"), ("torque_limit", "bend")}
+    limit = next(c for c in found.effects if c.effect == "torque_limit")
+    assert limit.parameters["limit"].value == pytest.approx(2.7, rel=0.01)
+
+
+class Rerun(Search):
+    """A search that always finds one effect, with early windows unless they are forbidden."""
+
+    def _run(self, *, early):
+        self.report("with" if early is None else "without")
+        accepted: Any = [SimpleNamespace(effect=self.candidates[0][0])]
+        return Found(ANYTHING, ANYTHING, self.select(ANYTHING), ANYTHING, accepted, early is None)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "runs"),
+    [("actuation_delay", {"delay": (0.0, 0.1)}, ["with", "without"]), ("backlash", {"gap": (0.0, 0.1)}, ["with"])],
+)
+def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, runs):
+    """Where early windows brought up an effect of earlier commands, the search is run again without; steps add up."""
+    said: list[str] = []
+    late: Any = [(effect(name, "bend", **values), np.zeros((1, 1)))]
+    select: Any = lambda stage: SimpleNamespace(steps=7)  # noqa: E731
+    found = Rerun(ANYTHING, ANYTHING, late, np.zeros((1, 0)), 8, 0, select, said.append).run()
+    assert said == runs
+    assert found.early is (len(runs) == 1)
+    assert found.selection.steps == 7 * len(runs)
