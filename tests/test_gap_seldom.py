@@ -164,7 +164,7 @@ class Rerun(Search):
 
 @pytest.mark.parametrize(
     ("name", "values", "runs"),
-    [("actuation_delay", {"delay": (0.0, 0.1)}, ["with", "without"]), ("backlash", {"gap": (0.0, 0.1)}, ["with"])],
+    [("actuation_delay", {"delay": (0.0, 0.1)}, ["with", "without"]), ("backlash", {"width": (0.0, 0.1)}, ["with"])],
 )
 def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, runs):
     """Where early windows brought up an effect of earlier commands, the search is run again without; steps add up."""
