@@ -84,7 +84,7 @@ def diagnose_gap(
     stage, final, selection = found.near, found.final, found.selection
     recordings = found.recordings
     if stage.recordings is not recordings:
-        stage = search.after(found.near, recordings)
+        stage = search.after(found.near, recordings, final.fit if found.accepted else None)
         selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
         final = stage.shown(final, refitted=True) if found.accepted else stage.base
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]

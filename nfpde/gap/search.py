@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.brief import brief
+from nfpde.gap.fit import Fit
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.select import Accepted, Selection
+from nfpde.gap.select import MOST_EFFECTS, Accepted, Selection
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.trial import Trial
 
 Array = NDArray[np.float64]
+
+QUIETER = 0.5
+"""Share of the noise that was believed, below which a sensor's is taken for misjudged, and what else is there is asked
+again: beside contacts whatever a model lacks looks like noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,22 +121,45 @@ class Search:
         near = in_noise(base, court, lengths[0], self.seed)
         selection = self.select(near)
         final, accepted = selection.run(near.base)
+        for _ in range(MOST_EFFECTS if self.touches else 0):
+            if not 0 < len(accepted) < MOST_EFFECTS:
+                break
+            self.report("noise of the sensors")
+            quieter = in_noise(base, court, lengths[0], self.seed, final.fit)
+            if (quieter.sigma > QUIETER * near.sigma).all():
+                break
+            near, count = quieter, len(accepted)
+            selection = _moved(selection, near)
+            final, accepted = selection.run(near.base, (final, accepted), further=True)
+            if len(accepted) <= count:
+                break
         for longer in lengths[1:]:
             self.report("longer windows")
-            near = self.after(near, longer)
-            selection = replace(selection, court=near.court, yardstick=near.yardstick, sigma=near.sigma)
+            near = self.after(near, longer, final.fit if accepted else None)
+            selection = _moved(selection, near)
             final, accepted = selection.run(near.base, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0)
 
-    def after(self, before: Stage, longer: Recordings) -> Stage:
-        """The stage of longer windows, its base fitted from the guesses and from the base of the shorter ones."""
+    def after(self, before: Stage, longer: Recordings, known: Fit | None = None) -> Stage:
+        """The stage of longer windows, its base fitted from the guesses and from the base of the shorter ones.
+
+        Args:
+            before: The stage of the shorter ones.
+            longer: The windows.
+            known: With what was found; see `in_noise`.
+        """
         fit = before.base.fit
         base, court = first_fit(fit.replay, longer, np.vstack([self.guesses, fit.xi]), capped=True)
-        return in_noise(base, court, longer, self.seed)
+        return in_noise(base, court, longer, self.seed, known)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings) if self.touches else []) or [recordings]
+
+
+def _moved(selection: Selection, near: Stage) -> Selection:
+    """A selection on another stage."""
+    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=near.sigma)
 
 
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:

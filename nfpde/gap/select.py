@@ -84,12 +84,15 @@ class Selection:
     sigma: Array | None = None
     steps: int = 0
 
-    def run(self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None) -> tuple[Trial, list[Accepted]]:
+    def run(
+        self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
+    ) -> tuple[Trial, list[Accepted]]:
         """Select.
 
         Args:
             base: The parameters fitted, without effects.
-            earlier: What was found on shorter windows, to go on from.
+            earlier: What was found on shorter windows, or in more noise, to go on from.
+            further: Whether what it left has not been asked about.
 
         Returns:
             The final trial and the accepted effects in the order of their acceptance.
@@ -101,8 +104,9 @@ class Selection:
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
             if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self._at_floor(current)):
                 break
-            if earlier is not None and accepted and self._whole_gap(current) <= (1 - CLOSED) * first_gap:
-                break  # what is left has been asked about on shorter windows
+            asked = earlier is not None and accepted and not further
+            if asked and self._whole_gap(current) <= (1 - CLOSED) * first_gap:
+                break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self._round(current, [a.effect for a in accepted])
             if not self.ranking:

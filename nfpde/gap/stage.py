@@ -115,10 +115,19 @@ def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> boo
     return float(calm(white**2, court.capped).mean()) > WORSE * float(gaps(base, court).mean())
 
 
-def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int) -> Stage:
-    """Residuals counted in how loud noise is in each window, and the parameters fitted once more."""
-    sigma = sensor_noise(base.fit.replay, base.fit.xi, recordings.rows)
-    fit, held = (noise_of(base.fit, sigma, half, seed) for half in (court.fitter, court.held))
+def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int, known: Fit | None = None) -> Stage:
+    """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
+
+    Args:
+        base: The parameters fitted to residuals as they are.
+        court: That judges these.
+        recordings: The windows.
+        seed: Of the draws of noise.
+        known: A model that knows more than the base does: where contacts are, what a model lacks looks like noise.
+    """
+    known = base.fit if known is None else known
+    sigma = sensor_noise(known.replay, known.xi, recordings.rows)
+    fit, held = (noise_of(known, sigma, half, seed) for half in (court.fitter, court.held))
     left = np.concatenate([base.fit.residuals, base.held])
     loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
     fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
