@@ -122,7 +122,7 @@ def test_a_scatter_by_which_nothing_is_explained_does_not_rank():
     )
     tried = [(e, np.array([[0.9]])) for e in (idle, right)]
     with_effect: Any = lambda e: changes[e.place]  # noqa: E731
-    found = screen(Fitter(ANYTHING, (1, 2)), empty, tried, with_effect, quiet)
+    found = screen(Fitter(ANYTHING, (1, 2)), empty, tried, with_effect, quiet, 5.0)
     assert found[0].effect is right
     assert max(s.explained[0] for s in found) < 5.0
     assert all(len(s.starts) == 1 and s.starts[0][0] is quiet for s in found if s.share > 0.25)

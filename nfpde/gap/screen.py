@@ -17,7 +17,6 @@ from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
-from nfpde.gap.trial import LEAST_GAIN
 
 Array = NDArray[np.float64]
 
@@ -81,6 +80,7 @@ def screen(
     candidates: Sequence[tuple[Effect, Array]],
     replay_with: Callable[[Effect], Replay],
     quiet: Scatter | None = None,
+    least: float = 0.0,
 ) -> list[Screened]:
     """Screen candidates at a linearised base fit, best first.
 
@@ -91,6 +91,8 @@ def screen(
         replay_with: Makes the replay of the base and one more effect, its parameters last.
         quiet: What residuals scatter by where nothing is missing. What acts in few windows has given the scatter of
             the base heavy tails, and counts for next to nothing in it.
+        least: A scatter by which nothing explains more [nats] ranks by chance, and does not count beside one that
+            knows more.
     """
     views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
     found = []
@@ -101,8 +103,7 @@ def screen(
         judged = [_judge(effect, values, v.residual, v.changes(there), v.gain(there)) for v in views]
         found.append((effect, replay, values, judged))
     best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
-    # a scatter by which nothing explains more than chance ranks by chance, where the other one knows
-    least = LEAST_GAIN if max(best) >= LEAST_GAIN else 0.0
+    least = least if max(best) > least else 0.0
     out = []
     for effect, replay, values, judged in found:
         shares = [j.explained / most if most > least else 0.0 for j, most in zip(judged, best, strict=True)]

@@ -15,7 +15,19 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.trial import APART, GLANCED, LEVEL, MANY, SCREENED, Court, Trial, block_test, likelihood_test, noise_of
+from nfpde.gap.trial import (
+    APART,
+    GLANCED,
+    LEAST_GAIN,
+    LEVEL,
+    MANY,
+    SCREENED,
+    Court,
+    Trial,
+    block_test,
+    likelihood_test,
+    noise_of,
+)
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -245,7 +257,8 @@ class Selection:
         part: tuple[int, float],
     ) -> list[Screened]:
         court = self.court
-        return screen(*court.screening(base, part), candidates, replay_with, court.quiet)
+        least = 0.0 if part is GLANCED else LEAST_GAIN  # a glance is at too few windows to tell
+        return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least)
 
     def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
         """Effects that were refitted before, beside another base, from where they were."""
