@@ -72,7 +72,7 @@ def test_bounds_and_screened_values(robot):
         assert np.isfinite([low, high]).all()
         values = e.screened(scales)
         assert values.shape == (len(values), len(e.parameters)), e.name
-        assert 1 <= len(values) <= 16, e.name
+        assert 1 <= len(values) <= 20, e.name
         assert ((low < values) & (values < high)).all(), (e.name, e.target)
         assert len(np.unique(values, axis=0)) == len(values), e.name
 

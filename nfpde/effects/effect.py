@@ -36,7 +36,9 @@ Bounds = dict[str, tuple[float, float]]
 EVERY = -2
 """Stands for all elements of a kind at once in `Effect.bounds_for`."""
 
-_SHARES = (0.04, 0.15, 0.5)
+_SHARES, _MIRRORED = (0.01, 0.04, 0.15, 0.5), (0.01, 0.04)
+"""Shares of the way to a bound that are tried first, and to the other bound: where motion is unstable, or something is
+touched, only small changes are linear, and their mirror images need not be what the other side does."""
 
 
 @dataclass(frozen=True)
@@ -199,11 +201,11 @@ class Effect:
         return found
 
     def screened(self, scales: DataScales) -> Array:
-        """Parameter values to try first, from small to large, (K, P), inside the bounds.
+        """Parameter values to try first, (K, P), inside the bounds.
 
-        Where a parameter may go both ways one side is enough: a diagnosis also tries the mirror image. The base moves
-        one parameter at a time from neutral, by 4 %, 15 % and 50 % of the way to its upper bound (or to its lower one,
-        if neutral is the upper); parameters that only shape the effect stay in the middle of theirs.
+        The base moves one parameter at a time from neutral, by 1 %, 4 %, 15 % and 50 % of the way to its upper bound
+        (or to its lower one, if neutral is the upper), and by 1 % and 4 % to the other side, if there is one;
+        parameters that only shape the effect stay in the middle of theirs.
         """
         low, high = (np.array([getattr(p, side) for p in self.parameters]) for side in ("low", "high"))
         start = np.array([q.neutral for q in self.quantities])
@@ -214,14 +216,17 @@ class Effect:
         for i, q in enumerate(self.quantities):
             if q.shape_only:
                 continue
-            end = low[i] if np.isclose(high[i], q.neutral) else high[i]
-            for share in _SHARES:
-                row = start.copy()
-                if q.log and min(end, q.neutral) > 0:
-                    row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
-                else:
-                    row[i] = q.neutral + share * (end - q.neutral)
-                rows.append(row)
+            ends = [high[i], low[i]]
+            if np.isclose(high[i], q.neutral):
+                ends.reverse()
+            for end, shares in zip(ends, (_SHARES, _MIRRORED), strict=True):
+                for share in shares if not np.isclose(end, q.neutral) else ():
+                    row = start.copy()
+                    if q.log and min(end, q.neutral) > 0:
+                        row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
+                    else:
+                        row[i] = q.neutral + share * (end - q.neutral)
+                    rows.append(row)
         margin = 1e-6 * (high - low)
         return np.clip(np.array(rows), low + margin, high - margin)
 

@@ -40,11 +40,6 @@ class JointOffset(Effect):
         size = min(max(spread, 0.5), 0.5 * math.pi) if hinge else max(spread, 0.1 * scales.length)
         return {"offset": (-size, size)}
 
-    def screened(self, scales: DataScales) -> Array:
-        """To both sides: what a robot touches lies on one."""
-        one = super().screened(scales)
-        return np.stack([one, -one], axis=1).reshape(-1, 1)
-
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
