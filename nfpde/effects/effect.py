@@ -216,17 +216,16 @@ class Effect:
         for i, q in enumerate(self.quantities):
             if q.shape_only:
                 continue
-            ends = [high[i], low[i]]
-            if np.isclose(high[i], q.neutral):
-                ends.reverse()
-            for end, shares in zip(ends, (_SHARES, _MIRRORED), strict=True):
-                for share in shares if not np.isclose(end, q.neutral) else ():
-                    row = start.copy()
-                    if q.log and min(end, q.neutral) > 0:
-                        row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
-                    else:
-                        row[i] = q.neutral + share * (end - q.neutral)
-                    rows.append(row)
+            below, above = (not np.isclose(end, q.neutral) for end in (low[i], high[i]))
+            sides = [(high[i] if above else low[i], _SHARES)]
+            sides += [(low[i], _MIRRORED)] if above and below and low[i] < q.neutral else []
+            for end, share in ((end, share) for end, shares in sides for share in shares):
+                row = start.copy()
+                if q.log and min(end, q.neutral) > 0:
+                    row[i] = q.neutral * (end / q.neutral) ** (share**0.5)
+                else:
+                    row[i] = q.neutral + share * (end - q.neutral)
+                rows.append(row)
         margin = 1e-6 * (high - low)
         return np.clip(np.array(rows), low + margin, high - margin)
 

@@ -121,18 +121,15 @@ class Search:
         near = in_noise(base, court, lengths[0], self.seed)
         selection = self.select(near)
         final, accepted = selection.run(near.base)
-        for _ in range(MOST_EFFECTS if self.touches else 0):
-            if not 0 < len(accepted) < MOST_EFFECTS:
-                break
+        known = 0
+        while self.touches and known < len(accepted) < MOST_EFFECTS:
+            known = len(accepted)
             self.report("noise of the sensors")
             quieter = in_noise(base, court, lengths[0], self.seed, final.fit)
             if (quieter.sigma > QUIETER * near.sigma).all():
                 break
-            near, count = quieter, len(accepted)
-            selection = _moved(selection, near)
+            near, selection = quieter, _moved(selection, quieter)
             final, accepted = selection.run(near.base, (final, accepted), further=True)
-            if len(accepted) <= count:
-                break
         for longer in lengths[1:]:
             self.report("longer windows")
             near = self.after(near, longer, final.fit if accepted else None)
