@@ -16,7 +16,7 @@ from nfpde.gap.drawing import project
 from nfpde.gap.drawing_layout import lay_out
 from nfpde.gap.html_causes import powers, scale
 from nfpde.gap.html_report import headline, page, write_report
-from nfpde.gap.html_svg import luminance, percent, shade
+from nfpde.gap.html_svg import Panel, luminance, percent, shade
 from tests.gap_reports import NASTY, SIX_AXES, arm, gap_report, gym_model
 
 VOID = {"meta", "br", "link", "img", "hr"}
@@ -213,6 +213,18 @@ def test_prediction_that_blows_up_does_not_flatten_the_trace(robots):
     heights = [float(part.split()[1]) for part in re.split("[ML]", drawn[1])[1:]]
     # four times the measured range stays free on the side where the curve leaves: a fifth of 162 pixels, less the rim
     assert max(heights) - min(heights) > 0.17 * 162
+
+
+def test_curves_end_where_they_leave_the_picture():
+    """Straight to the rim, not along it; back in where they come back; nothing where a value is missing."""
+    panel = Panel((0.0, 6.0), (0.0, 10.0), "", "")
+    y = np.array([5.0, 15.0, 30.0, 20.0, 0.0, np.nan, 3.0])
+    panel.line(np.arange(7.0), y, "before")
+    moves = re.findall(r"([ML])([\d.]+) ([\d.]+)", panel.marks[0])
+    at = [(pen, (float(a) - panel.across(0)) / (panel.across(1) - panel.across(0)), float(b)) for pen, a, b in moves]
+    assert [(pen, pytest.approx(x, abs=0.01)) for pen, x, _ in at] == [("M", 0.0), ("L", 0.5), ("M", 3.5), ("L", 4.0)]
+    expected = [panel.upward(v) for v in (5, 10, 10, 0)]
+    assert [b for *_, b in at] == pytest.approx(expected, abs=0.1)
 
 
 def test_planar_robot_is_seen_along_its_hinges(robots):

@@ -123,6 +123,15 @@ def test_the_regime_named_is_the_one_singled_out():
     assert [(p.joint, p.regime) for p in places(found)] == [("leg", "in contact")]
 
 
+def test_where_no_regime_is_singled_out_it_is_how_the_joint_moves():
+    """Half of the gap in half of the windows is no news, and a little more is none either."""
+    share = np.array([[0.0, 0.95, 0.05, 0.0, 0.52, 0.48]])
+    windows = np.array([[0, 95, 5, 0, 50, 50]])
+    regimes = ("rest", "reversal", "slow", "fast", "early", "late")
+    found = GapMap(["leg"], regimes, share, windows, {"motion": 4, "time": 2})
+    assert [p.regime for p in places(found)] == ["reversal"]
+
+
 def hop(push, episodes=6, rows=300, seed=0):
     """Episodes of the hopper driven by sines, with a force on its leg while its foot stands."""
     rng = np.random.default_rng(seed)

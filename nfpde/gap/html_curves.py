@@ -41,7 +41,7 @@ def _trace(t: Trace, repaired: bool) -> str:
     across, upward = span(t.time, pad=0.0), span(*[np.clip(c, low, high) for c in curves])
     panel = Panel(across, upward, f"{t.channel}, episode {t.episode}", "time in the episode [s]", t.unit)
     for curve, kind in zip(curves, ("measured", "before", "after"), strict=False):
-        panel.line(t.time, np.clip(curve, low, high), kind)
+        panel.line(t.time, curve, kind)
     return panel.svg()
 
 

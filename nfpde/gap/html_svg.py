@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from matplotlib import colormaps
@@ -76,7 +77,7 @@ class Panel:
     marks: list[str] = field(default_factory=list)
 
     width, height = 380.0, 240.0
-    left, right, top, bottom = 52.0, 10.0, 40.0, 38.0
+    left, right, top, bottom = 52.0, 18.0, 40.0, 38.0
 
     def across(self, x: float) -> float:
         """Pixel of a value of x."""
@@ -91,15 +92,20 @@ class Panel:
         return self.height - self.bottom - (self.height - self.top - self.bottom) * (y - low) / (high - low)
 
     def line(self, x: Array, y: Array, kind: str, dots: bool = False) -> None:
-        """Draw a curve of the CSS class `kind`; it breaks where a value is not finite."""
-        parts, pen = [], "M"
-        for a, b in zip(x.tolist(), y.tolist(), strict=True):
-            if not (math.isfinite(a) and math.isfinite(b)):
-                pen = "M"
+        """Draw a curve of the CSS class `kind`; it breaks where a value is not finite, and ends where it leaves."""
+        low, high = (-math.inf, math.inf) if self.log else self.y
+        parts, pen = [], (math.nan, math.nan)
+        points = list(zip(x.tolist(), y.tolist(), strict=True))
+        for (a, b), (c, d) in pairwise(points):
+            piece = _inside(b, d, low, high) if all(map(math.isfinite, (a, b, c, d))) else None
+            if piece is None:
                 continue
-            parts.append(f"{pen}{self.across(a):.1f} {self.upward(b):.1f}")
-            pen = "L"
-            if dots:
+            start, end = ((a + t * (c - a), b + t * (d - b)) for t in piece)
+            parts += [] if start == pen else [f"M{self.across(start[0]):.1f} {self.upward(start[1]):.1f}"]
+            parts.append(f"L{self.across(end[0]):.1f} {self.upward(end[1]):.1f}")
+            pen = end
+        for a, b in points if dots else []:
+            if math.isfinite(a) and low <= b <= high:
                 self.dot(a, b, kind)
         self.marks.append(f'<path class="line {kind}" d="{"".join(parts)}"/>')
 
@@ -138,6 +144,15 @@ class Panel:
             f'<text x="4" y="30">{text(self.y_label)}</text>'
             f'<text x="{middle:.1f}" y="{self.height - 6:.1f}" class="mid">{text(self.x_label)}</text></svg>'
         )
+
+
+def _inside(start: float, end: float, low: float, high: float) -> tuple[float, float] | None:
+    """The part of a way from one value to another that lies between two more, as shares of it; None: no part."""
+    if start == end:
+        return (0.0, 1.0) if low <= start <= high else None
+    shares = sorted((bound - start) / (end - start) for bound in (low, high))
+    first, last = max(shares[0], 0.0), min(shares[1], 1.0)
+    return (first, last) if first < last else None
 
 
 def _short(title: str, most: int = 50) -> str:

@@ -17,6 +17,9 @@ from nfpde.gap.report import GapMap, Place
 
 Array = NDArray[np.float64]
 
+TOLD = 0.1
+"""p log(p / q) of the regime that a joint's gap singles out, at least; see `places`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Forces:
@@ -108,14 +111,16 @@ def places(found: GapMap) -> list[Place]:
     """Joints by share, each with the regime that its gap singles out.
 
     That is the regime with most of p log(p / q), where p is its part of the joint's gap and q its part of the windows:
-    one that holds much of the gap in few windows.
+    one that holds much of the gap in few windows. Where none does, it is how the joint moves most of the time.
     """
     out = []
     names = list(found.groups)
+    motion = found.groups[names[0]]
     for j, name in enumerate(found.joints):
         share = float(found.part(names[0])[j].sum())
         p = found.share[j] / max(share, 1e-300)
         q = found.windows[j] * len(names) / max(float(found.windows[j].sum()), 1.0)
         told = np.where(p > 0, p * np.log(np.maximum(p, 1e-300) / np.maximum(q, 1e-300)), 0.0)
-        out.append(Place(name, share, found.regimes[int(told.argmax())]))
+        singled = int(told.argmax() if told.max() >= TOLD else p[:motion].argmax())
+        out.append(Place(name, share, found.regimes[singled]))
     return sorted(out, key=lambda p: -p.share)
