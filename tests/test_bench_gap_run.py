@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from nfpde.bench.gap import cases as case_module
 from nfpde.bench.gap import run as bench
 from nfpde.bench.gap.draw import draw_system
+from nfpde.bench.gap.workers import shared_cores, workers
 from nfpde.cli import app
 from nfpde.errors import BadInput
 
@@ -148,7 +149,7 @@ def test_the_command_draws_systems_to_develop_on(quick, tmp_path):
 ORPHAN = """
 import multiprocessing, os, subprocess, sys, time
 from concurrent.futures import ProcessPoolExecutor
-from nfpde.bench.gap.run import end_with_parent
+from nfpde.bench.gap.workers import end_with_parent
 
 def task():
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
@@ -189,3 +190,29 @@ def test_workers_end_with_a_killed_run(tmp_path):
     while not all(_ended(pid) for pid in pids) and time.monotonic() < until:
         time.sleep(0.05)
     assert all(_ended(pid) for pid in pids)
+
+
+def cores_of_a_worker(folder):
+    """Waits until two processes do: neither takes both tasks."""
+    (folder / str(os.getpid())).touch()
+    until = time.monotonic() + 60
+    while len(list(folder.iterdir())) < 2 and time.monotonic() < until:
+        time.sleep(0.05)
+    return sorted(os.sched_getaffinity(0))
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system binds no process to cores")
+def test_every_worker_has_cores_of_its_own(tmp_path):
+    """Shares are alike in size, apart, and all there is; with more workers than cores each has one."""
+    mine = sorted(os.sched_getaffinity(0))
+    for jobs in (1, 2, 3, len(mine) + 1):
+        shares = shared_cores(jobs)
+        sizes = [len(share) for share in shares]
+        assert len(shares) == jobs
+        assert set().union(*shares) == set(mine)
+        assert max(sizes) - min(sizes) <= 1
+        assert sum(sizes) == max(len(mine), jobs)
+    with workers(2) as pool:
+        found = list(pool.map(cores_of_a_worker, [tmp_path, tmp_path]))
+    assert sorted(found) == sorted(sorted(share) for share in shared_cores(2))
+    assert sorted(os.sched_getaffinity(0)) == mine

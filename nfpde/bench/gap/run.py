@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
-import os
 import platform
-import signal
 import sys
-import threading
-import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +19,7 @@ from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.score import Row, judge
 from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
+from nfpde.bench.gap.workers import workers
 from nfpde.errors import BadInput
 from nfpde.progress import progress
 from nfpde.storage import finite, write_whole
@@ -31,9 +27,6 @@ from nfpde.storage import finite, write_whole
 DIAGNOSE = (sys.executable, "-m", "nfpde", "diagnose")
 
 QUICK_CASES = 12
-
-_GRACE = 5.0
-"""Seconds that a worker has to stop a diagnosis."""
 
 DEVICES = ("auto", "cpu", "cuda", "warp-cpu")
 """Where a diagnosis may simulate."""
@@ -57,7 +50,7 @@ def run(
         seed: seed of the systems; none that anything was tried on before.
         out: folder for the tables.
         cases: number of systems.
-        jobs: systems at a time.
+        jobs: systems at a time, each on a share of the cores.
         quick: 12 systems at most, tables named gap_quick.
         limit: wall time for one diagnosis [s]; longer is a failure.
         folder: where finished cases and keys are kept; None is runs/gap-SEED.
@@ -118,30 +111,11 @@ def _work(left: list[Case], total: int, jobs: int) -> None:
                 done += 1
                 report(done)
             return
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=context, initializer=end_with_parent) as pool:
+        with workers(jobs) as pool:
             for future in as_completed([pool.submit(run_case, case) for case in left]):
                 future.result()
                 done += 1
                 report(done)
-
-
-def end_with_parent() -> None:
-    """Have a worker stop what it does when the process that started it is gone, even if that was killed.
-
-    A diagnosis that went on would write its answer beside those of the run that goes on in its place.
-    """
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os.kill(os.getpid(), signal.SIGTERM)
-            time.sleep(_GRACE)
-            os._exit(1)
-
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _check(cases: int, jobs: int, limit: float) -> None:
