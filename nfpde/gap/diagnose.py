@@ -81,20 +81,19 @@ def diagnose_gap(
     check_fit(start, dataset, search.cut(), guesses[0])
     found = search.run()
     report("where, and what is left")
-    stage, final, selection = found.near, found.final, found.selection
+    stage, final, accepted, selection = found.near, found.final, found.accepted, found.selection
     recordings = found.recordings
     if stage.recordings is not recordings:
-        stage = search.after(found.near, recordings, final.fit if found.accepted else None)
+        stage = search.after(found.near, recordings, final, accepted)
         selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
-        final = stage.shown(final, refitted=True) if found.accepted else stage.base
+        final = stage.shown(final, refitted=True) if accepted else stage.base
+        final, accepted = selection.useful(stage.base, final, accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
     near = shown if found.near is stage else found.near
-    outcome = Outcome(
-        dataset, shown, near, final, tuple(found.accepted), selection, sigma, scales.force, seed, computed
-    )
+    outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed)
     return answer(outcome, time.monotonic() - begin)
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.brief import brief
-from nfpde.gap.fit import Fit
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Accepted, Selection
@@ -132,22 +131,23 @@ class Search:
             final, accepted = selection.run(near.base, (final, accepted), further=True)
         for longer in lengths[1:]:
             self.report("longer windows")
-            near = self.after(near, longer, final.fit if accepted else None)
+            near = self.after(near, longer, final, accepted)
             selection = _moved(selection, near)
             final, accepted = selection.run(near.base, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0)
 
-    def after(self, before: Stage, longer: Recordings, known: Fit | None = None) -> Stage:
-        """The stage of longer windows, its base fitted from the guesses and from the base of the shorter ones.
+    def after(self, before: Stage, longer: Recordings, final: Trial, accepted: Sequence[Accepted]) -> Stage:
+        """The stage of longer windows, its base fitted from the guesses and from that of the shorter ones.
 
         Args:
             before: The stage of the shorter ones.
             longer: The windows.
-            known: With what was found; see `in_noise`.
+            final: What was found there; its parameters may be better than the stage's, or know more of noise.
+            accepted: The effects in it.
         """
-        fit = before.base.fit
+        fit = before.base.fit if accepted else final.fit
         base, court = first_fit(fit.replay, longer, np.vstack([self.guesses, fit.xi]), capped=True)
-        return in_noise(base, court, longer, self.seed, known)
+        return in_noise(base, court, longer, self.seed, final.fit if accepted else None)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""

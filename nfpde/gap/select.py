@@ -127,6 +127,9 @@ class Selection:
             if found is None:
                 break
             current, new = found
+            if (idle := self._idle(current)) is not None:
+                current = idle
+                continue
             current = self._converged(current.fit)
             accepted.append(new)
             if len(accepted) > 1:
@@ -146,10 +149,7 @@ class Selection:
         return current, accepted
 
     def _shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
-        """Whether a trial shrinks the gap by so much more than another that the effect between them is worth a name.
-
-        On the whole, or in most windows: a few may be large by what another effect does there.
-        """
+        """Whether a trial shrinks the gap enough for a name, or that of most windows: a few may be another's work."""
         gap = self._whole_gap(current)
         if gap - self._whole_gap(trial) >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
             return True
@@ -171,15 +171,35 @@ class Selection:
     ) -> tuple[Trial, list[Accepted]]:
         """An effect that had equals on shorter windows beside them on these; it stays where these ask for none."""
         asked = accepted[index]
-        if not asked.rivals:
+        others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
+        rivals = [t for t in asked.rivals if t.effect is not None and key(t.effect) not in others]
+        if not rivals:
             return current, accepted
         smaller = self.without(current, index)
-        found = self._accept(smaller, self._again(smaller, [asked.trial, *asked.rivals]), first_gap)
+        found = self._accept(smaller, self._again(smaller, [asked.trial, *rivals]), first_gap)
         if found is None:
             return current, accepted
         current, new = found
         current, rest = self._converged(current.fit), [a for i, a in enumerate(accepted) if i != index]
         return current, [*rest, replace(new, field=asked.field)]
+
+    def useful(self, base: Trial, trial: Trial, accepted: list[Accepted]) -> tuple[Trial, list[Accepted]]:
+        """A trial without effects that make these windows worse; `base` has the parameters alone."""
+        while accepted:
+            smaller = [self.without(trial, i) for i in range(len(accepted))] if len(accepted) > 1 else [base]
+            gaps = [self._whole_gap(t) for t in smaller]
+            index = int(np.argmin(gaps))
+            if gaps[index] >= (1 - WORTH) * self._whole_gap(trial) - FLOOR_ERROR:
+                break
+            trial, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
+        return trial, accepted
+
+    def _idle(self, trial: Trial) -> Trial | None:
+        """The same place without the last effect, refitted, where that effect does nothing: others had been stuck."""
+        replay = trial.fit.replay
+        smaller, keep = self._replay(replay.effects[:-1]), replay.columns(len(replay.effects) - 1).start
+        fit = self.court.fitter.start(smaller, trial.fit.xi[:keep][None], trial.fit.scatter)
+        return self._converged(fit) if fit.cost - trial.fit.cost < LEAST_GAIN else None
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
         """The trial with slopes at its place, after a fit to the end unless it is fitted already."""
@@ -305,8 +325,7 @@ class Selection:
     def _gain(self, trial: Trial, current: Trial, level: float) -> float:
         """Held-out log density gained per window, where it is sure; else nothing.
 
-        What acts seldom gains in too few blocks for their scatter to tell. Where it leaves no more than noise would,
-        densities mean what they say, and their sum counts.
+        What acts seldom gains in too few blocks to tell; where it leaves no more than noise would, their sum counts.
         """
         gain, _, p = self.court.gain(trial, current)
         if p > level and likelihood_test(trial.density - current.density, self.court.block) <= level:
@@ -317,7 +336,6 @@ class Selection:
         """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
         if not self._at_floor(trial):
             return False
-        # beside contacts the floor is known to a factor only
         floor = 0.0 if self.sigma is not None else float(self.yardstick.floor.mean())
         left = max(self._whole_gap(trial) - floor, FLOOR_ERROR)
         return self._whole_gap(current) - floor >= left / (1 - CLOSED)
