@@ -1,0 +1,109 @@
+"""Accepted effects later on: told apart once, dropped where they do nothing or harm."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nfpde.effects import effect
+from nfpde.gap.fit import Fitter
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.select import Accepted, Selection
+from nfpde.gap.trial import Court, Trial
+
+ANYTHING: Any = None
+
+
+class Numbered(Selection):
+    """A selection of numbered effects, each of which removes so much of a gap of ten, whatever else is there."""
+
+    removes = (0.0,)
+
+    def without(self, trial: Any, index) -> Any:
+        return SimpleNamespace(effects=[e for i, e in enumerate(trial.effects) if i != index])
+
+    def _whole_gap(self, trial: Any):
+        return 10.0 - sum(self.removes[e] for e in trial.effects)
+
+
+@pytest.mark.parametrize(
+    ("removes", "kept"), [((5.0, -3.0, 2.0), [0, 2]), ((5.0, -0.01), [0, 1]), ((-1.0, -2.0), []), ((4.0,), [0])]
+)
+def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, monkeypatch):
+    """What adds to the gap goes, down to the parameters alone; what hardly changes it stays."""
+    monkeypatch.setattr(Numbered, "removes", removes)
+    selection = Numbered(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
+    base: Any = SimpleNamespace(effects=[])
+    trial: Any = SimpleNamespace(effects=list(range(len(removes))))
+    accepted: Any = list(range(len(removes)))
+    found: Any
+    found, rest = selection.useful(base, trial, accepted)
+    assert list(rest) == found.effects == kept
+
+
+def test_an_effect_is_not_tried_beside_itself():
+    """A rival that has been accepted since is no rival any more."""
+    friction, damping = effect("coulomb_friction", "elbow", torque=(0, 1)), effect("armature", "elbow", inertia=(0, 1))
+    residuals = np.zeros((4, 1, 2))
+
+    def trial(which):
+        return Trial(which, ANYTHING, np.zeros(4), residuals)
+
+    accepted = [
+        Accepted(friction, trial(friction), (trial(damping),), ()),
+        Accepted(damping, trial(damping), (), ()),
+    ]
+    selection = Selection(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
+    current = trial(damping)
+    assert selection._told_apart(current, accepted, 0, 1.0) == (current, accepted)
+
+
+class Line:
+    """A replay whose residuals are `start` and `slopes` times its parameters, the last of which is an effect's."""
+
+    def __init__(self, start, slopes, effects):
+        self.start, self.slopes, self.effects = start, np.array(slopes), effects
+        self.nfree, self.low, self.high = len(slopes), np.zeros(len(slopes)), np.ones(len(slopes))
+
+    def columns(self, index):
+        return slice(self.nfree - 1, self.nfree)
+
+    def inward(self, xi):
+        return xi
+
+    def outward(self, u):
+        return u
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return self.start + np.einsum("md,dnvc->mnvc", xi, self.slopes)
+
+
+class Stuck(Selection):
+    """A selection that knows its replay without the effect."""
+
+    smaller: Any = None
+
+    def _replay(self, effects) -> Any:
+        return self.smaller
+
+    def _converged(self, fit) -> Any:
+        return fit
+
+
+@pytest.mark.parametrize(("size", "idle"), [(0.0, True), (1.0, False)])
+def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idle, monkeypatch):
+    """The parameter got where it should be beside an effect that does nothing; one that does something counts."""
+    rng = np.random.default_rng(30)
+    one, other = rng.normal(size=(2, 50, 1, 2))
+    start = -0.3 * one - 0.7 * size * other + 1e-3 * rng.normal(size=one.shape)
+    scatter = learn_scatter(1e-3 * rng.normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
+    fitter = Fitter(ANYTHING, (1, 2))
+    monkeypatch.setattr(Stuck, "smaller", Line(start, [one], []))
+    both: Any = Line(start, [one, size * other], ["effect"])
+    fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    found: Any = Stuck(ANYTHING, None, 1, court, ANYTHING, [])._idle(Trial(ANYTHING, fit, np.zeros(50), start))
+    assert (found is not None) is idle
+    if idle:
+        assert found.xi == pytest.approx([0.3])
