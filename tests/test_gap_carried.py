@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from nfpde.effects import effect
+from nfpde.gap.accepted import Accepted
 from nfpde.gap.fit import Fitter
+from nfpde.gap.levels import Yardstick
 from nfpde.gap.noise import learn_scatter
-from nfpde.gap.select import Accepted, Selection
+from nfpde.gap.search import Search
+from nfpde.gap.select import Selection
+from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Court, Trial
 
 ANYTHING: Any = None
@@ -19,6 +23,9 @@ class Numbered(Selection):
     """A selection of numbered effects, each of which removes so much of a gap of ten, whatever else is there."""
 
     removes = (0.0,)
+
+    def _linear(self, trial: Any, *, fitted) -> Any:
+        return SimpleNamespace(effects=trial.effects, linear=fitted)
 
     def without(self, trial: Any, index) -> Any:
         return SimpleNamespace(effects=[e for i, e in enumerate(trial.effects) if i != index])
@@ -34,12 +41,13 @@ def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, 
     """What adds to the gap goes, down to the parameters alone; what hardly changes it stays."""
     monkeypatch.setattr(Numbered, "removes", removes)
     selection = Numbered(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
-    base: Any = SimpleNamespace(effects=[])
-    trial: Any = SimpleNamespace(effects=list(range(len(removes))))
+    base: Any = SimpleNamespace(effects=[], linear=True)
+    trial: Any = SimpleNamespace(effects=list(range(len(removes))), linear=True)
     accepted: Any = list(range(len(removes)))
     found: Any
     found, rest = selection.useful(base, trial, accepted)
     assert list(rest) == found.effects == kept
+    assert found.linear  # standard errors are read off it
 
 
 def test_an_effect_is_not_tried_beside_itself():
@@ -65,6 +73,7 @@ class Line:
     def __init__(self, start, slopes, effects):
         self.start, self.slopes, self.effects = start, np.array(slopes), effects
         self.nfree, self.low, self.high = len(slopes), np.zeros(len(slopes)), np.ones(len(slopes))
+        self.sim = SimpleNamespace(simulated_steps=0)
 
     def columns(self, index):
         return slice(self.nfree - 1, self.nfree)
@@ -76,6 +85,7 @@ class Line:
         return u
 
     def residuals(self, xi, windows, horizons, force=None):
+        self.sim.simulated_steps += len(xi)
         return self.start + np.einsum("md,dnvc->mnvc", xi, self.slopes)
 
 
@@ -103,7 +113,40 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     both: Any = Line(start, [one, size * other], ["effect"])
     fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
-    found: Any = Stuck(ANYTHING, None, 1, court, ANYTHING, [])._idle(Trial(ANYTHING, fit, np.zeros(50), start))
+    selection = Stuck(ANYTHING, None, 1, court, ANYTHING, [])
+    found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start))
     assert (found is not None) is idle
+    assert selection.steps > 0
+    assert Stuck.smaller.sim.simulated_steps == 0
     if idle:
         assert found.xi == pytest.approx([0.3])
+
+
+class Unstuck(Selection):
+    """A selection that finds a better place of the parameters at first, and nothing else."""
+
+    better: Any = None
+
+    def run(self, base, earlier=None, *, further=False):
+        self.steps += 1
+        self.ranking.append(base)
+        return (base if base is self.better else self.better), []
+
+
+def test_selects_anew_from_where_the_parameters_got_unstuck(monkeypatch):
+    """Gaps are counted by what the better place leaves, and nothing that was credited beside the other one stays."""
+    rng = np.random.default_rng(31)
+    noise, large, small = rng.normal(size=(3, 5, 40, 2, 3)) * np.array([1e-3, 1.0, 0.01])[:, None, None, None, None]
+    stuck, better = (Trial(None, ANYTHING, np.zeros(40), held[0]) for held in (large, small))
+    monkeypatch.setattr(Unstuck, "better", better)
+    court: Any = SimpleNamespace(capped=0.0)
+    precision = np.zeros((2, 3))
+    stage = Stage(ANYTHING, large[0], stuck, court, Yardstick.of(noise, stuck.held, 0.0), np.ones(4), precision)
+    search = Search(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, print)
+    near, selection, final, accepted = search._select(stage, Unstuck(ANYTHING, None, 1, court, stage.yardstick, []))
+    assert near.base is final is better
+    assert not accepted
+    assert selection.ranking == [better]
+    assert selection.steps == 2
+    assert near.yardstick.scale == pytest.approx(Yardstick.of(noise, better.held, 0.0).scale)
+    assert selection.yardstick is near.yardstick

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects.effect import Array, Rows, World
+from nfpde.effects.scales import DataScales
 from nfpde.elements import actuator_ctrls, is_axis, joint_dofs, joint_qpos
 from nfpde.errors import BadEffect
 
@@ -45,6 +46,12 @@ def driven_joints(model: mujoco.MjModel, actuators: Rows, where: str) -> Rows:
     if (joints < 0).any():
         raise BadEffect(f"{where}: it needs actuators that act on a hinge or a slide")
     return joints
+
+
+def torque_scales(model: mujoco.MjModel, actuator: int, scales: DataScales) -> tuple[float, float]:
+    """Typical and largest torque [Nm or N] at the joint that an actuator drives."""
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    return float(scales.actuator_force[actuator]) * gear, float(scales.actuator_peak[actuator]) * gear
 
 
 def is_plain(model: mujoco.MjModel, actuator: int) -> bool:

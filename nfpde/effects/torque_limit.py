@@ -8,7 +8,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.drive import driven_joint, driven_joints
+from nfpde.effects.drive import driven_joint, driven_joints, torque_scales
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -40,14 +40,14 @@ class TorqueLimit(Effect):
         """From a tenth of the typical torque at the joint to several times the largest."""
         if element < 0 or driven_joint(model, element) < 0:
             return None
-        gear = abs(model.actuator_gear[element, 0])
-        typical, peak = (float(force[element] * gear) for force in (scales.actuator_force, scales.actuator_peak))
+        typical, peak = torque_scales(model, element, scales)
         return {"limit": (0.1 * typical, _ABOVE * peak)} if typical > 0 else None
 
     def screened(self, scales: DataScales) -> Array:
         """Limits from one that cuts off much, always, to one that cuts off little of the largest torque, seldom."""
-        typical, peak = 10 * self.parameters[0].low, self.parameters[0].high / _ABOVE
-        return np.geomspace(0.5 * typical, 0.95 * peak, 6)[:, None]
+        low, high = self.parameters[0].low, self.parameters[0].high
+        limits = np.geomspace(5 * low, 0.95 / _ABOVE * high, 6)[:, None]
+        return np.clip(limits, 1.01 * low, 0.99 * high)
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; the actuators must act on joints with a limited force range or none.

@@ -8,7 +8,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.drive import driven_joint, driven_joints
+from nfpde.effects.drive import driven_joint, driven_joints, torque_scales
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -50,8 +50,7 @@ class TorqueSpeed(Effect):
         joint = driven_joint(model, element)
         if joint < 0:
             return None
-        gear = abs(model.actuator_gear[element, 0])
-        torque, peak = (float(force[element] * gear) for force in (scales.actuator_force, scales.actuator_peak))
+        torque, peak = torque_scales(model, element, scales)
         speed = float(scales.speed[model.jnt_dofadr[joint]])
         if torque <= 0 or speed <= 0:
             return None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.effects import LINEAR, Effect, slides
+from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
@@ -17,7 +18,7 @@ from nfpde.gap.levels import Yardstick, rare, shrink_interval
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
-from nfpde.gap.select import CLOSED, FLOOR_ERROR, NEAR_FLOOR, Accepted, Selection, key
+from nfpde.gap.select import CLOSED, FLOOR_ERROR, NEAR_FLOOR, Selection
 from nfpde.gap.separate import separating_experiment
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.effects import Effect
+from nfpde.gap.accepted import Accepted
 from nfpde.gap.brief import brief
+from nfpde.gap.fit import Fit
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.select import MOST_EFFECTS, Accepted, Selection
+from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.trial import Trial
 
@@ -117,37 +119,54 @@ class Search:
             lengths = self._lengths(recordings)
             base, court = moved_over(base, court, lengths[0])
         self.report("noise of the sensors")
-        near = in_noise(base, court, lengths[0], self.seed)
-        selection = self.select(near)
-        final, accepted = selection.run(near.base)
+        first = in_noise(base, court, lengths[0], self.seed)
+        near, selection, final, accepted = self._select(first, self.select(first))
         known = 0
         while self.touches and known < len(accepted) < MOST_EFFECTS:
             known = len(accepted)
             self.report("noise of the sensors")
-            quieter = in_noise(base, court, lengths[0], self.seed, final.fit)
-            if (quieter.sigma > QUIETER * near.sigma).all():
+            if near is not first:  # the parameters had been stuck
+                base, court = moved_over(near.base, court, lengths[0])
+            first = in_noise(base, court, lengths[0], self.seed, final.fit)
+            if (first.sigma >= QUIETER * near.sigma).all():
                 break
-            near, selection = quieter, _moved(selection, quieter)
-            final, accepted = selection.run(near.base, (final, accepted), further=True)
+            near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
         for longer in lengths[1:]:
             self.report("longer windows")
-            near = self.after(near, longer, final, accepted)
-            selection = _moved(selection, near)
-            final, accepted = selection.run(near.base, (final, accepted))
+            stage = self.after(near, longer, final.fit if accepted else None)
+            near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0)
 
-    def after(self, before: Stage, longer: Recordings, final: Trial, accepted: Sequence[Accepted]) -> Stage:
+    def _select(
+        self,
+        near: Stage,
+        selection: Selection,
+        earlier: tuple[Trial, list[Accepted]] | None = None,
+        *,
+        further: bool = False,
+    ) -> tuple[Stage, Selection, Trial, list[Accepted]]:
+        """Select on a stage, and anew from where the parameters got unstuck; see `Selection.run`."""
+        selection = _moved(selection, near)
+        final, accepted = selection.run(near.base, earlier, further=further)
+        for _ in range(MOST_EFFECTS):
+            if accepted or final is near.base:
+                break
+            near = near.at(final)
+            selection = replace(_moved(selection, near), ranking=[])
+            final, accepted = selection.run(near.base, earlier, further=further)
+        return near, selection, final, accepted
+
+    def after(self, before: Stage, longer: Recordings, known: Fit | None) -> Stage:
         """The stage of longer windows, its base fitted from the guesses and from that of the shorter ones.
 
         Args:
             before: The stage of the shorter ones.
             longer: The windows.
-            final: What was found there; its parameters may be better than the stage's, or know more of noise.
-            accepted: The effects in it.
+            known: What was found there, if anything: it knows more of noise than the base.
         """
-        fit = before.base.fit if accepted else final.fit
+        fit = before.base.fit
         base, court = first_fit(fit.replay, longer, np.vstack([self.guesses, fit.xi]), capped=True)
-        return in_noise(base, court, longer, self.seed, final.fit if accepted else None)
+        return in_noise(base, court, longer, self.seed, known)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
@@ -156,7 +175,8 @@ class Search:
 
 def _moved(selection: Selection, near: Stage) -> Selection:
     """A selection on another stage."""
-    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=near.sigma)
+    sigma = None if selection.sigma is None else near.sigma
+    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma)
 
 
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
+from nfpde.gap.accepted import Accepted, key, parameter_count
 from nfpde.gap.fit import Fit
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.refit import refit
@@ -56,22 +57,6 @@ NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """An accepted effect and those it cannot be told from.
-
-    effect: the effect
-    trial: it and everything accepted before, when it was accepted
-    rivals: other effects that explain the same there
-    field: all that were refitted there, it included
-    """
-
-    effect: Effect
-    trial: Trial
-    rivals: tuple[Trial, ...]
-    field: tuple[Trial, ...]
-
-
 @dataclass(eq=False)
 class Selection:
     """Adds effects to a base fit as long as recordings that no fit saw ask for them.
@@ -107,7 +92,8 @@ class Selection:
             further: Whether what it left has not been asked about.
 
         Returns:
-            The final trial and the accepted effects in the order of their acceptance.
+            The final trial and the accepted effects in the order of their acceptance. Without any, it is the base, or
+            a better place of the parameters that was found on the way, from which to select anew.
         """
         current, accepted = base, list[Accepted]()
         first_gap = self._whole_gap(base)
@@ -128,6 +114,8 @@ class Selection:
                 break
             current, new = found
             if (idle := self._idle(current)) is not None:
+                if not accepted:
+                    return self._linear(idle, fitted=True), []
                 current = idle
                 continue
             current = self._converged(current.fit)
@@ -185,20 +173,22 @@ class Selection:
 
     def useful(self, base: Trial, trial: Trial, accepted: list[Accepted]) -> tuple[Trial, list[Accepted]]:
         """A trial without effects that make these windows worse; `base` has the parameters alone."""
+        found = trial
         while accepted:
-            smaller = [self.without(trial, i) for i in range(len(accepted))] if len(accepted) > 1 else [base]
+            smaller = [self.without(found, i) for i in range(len(accepted))] if len(accepted) > 1 else [base]
             gaps = [self._whole_gap(t) for t in smaller]
             index = int(np.argmin(gaps))
-            if gaps[index] >= (1 - WORTH) * self._whole_gap(trial) - FLOOR_ERROR:
+            if gaps[index] >= (1 - WORTH) * self._whole_gap(found) - FLOOR_ERROR:
                 break
-            trial, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
-        return trial, accepted
+            found, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
+        return (found if found in (trial, base) else self._linear(found, fitted=True)), accepted
 
     def _idle(self, trial: Trial) -> Trial | None:
         """The same place without the last effect, refitted, where that effect does nothing: others had been stuck."""
         replay = trial.fit.replay
         smaller, keep = self._replay(replay.effects[:-1]), replay.columns(len(replay.effects) - 1).start
         fit = self.court.fitter.start(smaller, trial.fit.xi[:keep][None], trial.fit.scatter)
+        self._count(smaller)
         return self._converged(fit) if fit.cost - trial.fit.cost < LEAST_GAIN else None
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
@@ -317,7 +307,7 @@ class Selection:
             if self._equal(gap, best, trial, apart > APART or trial in near):
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
-        chosen = min((t for t in near if t in sure), key=lambda t: (len(_parameters(t)), -t.density.mean()))
+        chosen = min((t for t in near if t in sure), key=lambda t: (parameter_count(t), -t.density.mean()))
         if chosen.effect is None:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(beside))
@@ -369,7 +359,7 @@ class Selection:
                 gain = replaced.density - current.density
                 if block_test(gain, self.court.block)[2] > APART:
                     if block_test(-gain, self.court.block)[2] > APART:
-                        accepted = [_with_rival(a, replaced) if i == index else a for i, a in enumerate(accepted)]
+                        accepted = [a.with_rival(replaced) if i == index else a for i, a in enumerate(accepted)]
                     continue
             # the replacement stands last among the effects now: keep both lists in one order
             accepted = [a for i, a in enumerate(accepted) if i != index] + [new]
@@ -382,19 +372,3 @@ class Selection:
     def _count(self, replay: Replay) -> None:
         self.steps += replay.sim.simulated_steps
         replay.sim.simulated_steps = 0
-
-
-def _with_rival(accepted: Accepted, trial: Trial) -> Accepted:
-    """An accepted effect that another cannot be told from."""
-    known = {key(t.effect) for t in accepted.rivals if t.effect is not None}
-    new = trial.effect is not None and key(trial.effect) not in known
-    return replace(accepted, rivals=(*accepted.rivals, trial)) if new else accepted
-
-
-def key(effect: Effect) -> tuple[str, str]:
-    """Name and place."""
-    return effect.name, effect.place
-
-
-def _parameters(trial: Trial) -> Sequence[object]:
-    return trial.effect.parameters if trial.effect is not None else ()

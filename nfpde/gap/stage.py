@@ -43,6 +43,11 @@ class Stage:
     sigma: Array
     precision: Array
 
+    def at(self, base: Trial) -> Stage:
+        """The same windows with another fit of the parameters alone, by which gaps are counted from now on."""
+        yardstick = Yardstick.of(self.yardstick.noise, base.held, self.court.capped, self.precision)
+        return replace(self, base=base, yardstick=yardstick)
+
     def shown(self, trial: Trial, *, refitted: bool) -> Trial:
         """A trial of windows of another length on these.
 

@@ -1,0 +1,40 @@
+"""Effects that were accepted, and what they cannot be told from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from nfpde.effects import Effect
+from nfpde.gap.trial import Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """An accepted effect and those it cannot be told from.
+
+    effect: the effect
+    trial: it and everything accepted before, when it was accepted
+    rivals: other effects that explain the same there
+    field: all that were refitted there, it included
+    """
+
+    effect: Effect
+    trial: Trial
+    rivals: tuple[Trial, ...]
+    field: tuple[Trial, ...]
+
+    def with_rival(self, trial: Trial) -> Accepted:
+        """The same with another effect that it cannot be told from, each once."""
+        known = {key(t.effect) for t in self.rivals if t.effect is not None}
+        new = trial.effect is not None and key(trial.effect) not in known
+        return replace(self, rivals=(*self.rivals, trial)) if new else self
+
+
+def key(effect: Effect) -> tuple[str, str]:
+    """Name and place."""
+    return effect.name, effect.place
+
+
+def parameter_count(trial: Trial) -> int:
+    """Parameters that a trial's effect adds."""
+    return len(trial.effect.parameters) if trial.effect is not None else 0
