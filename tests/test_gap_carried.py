@@ -30,7 +30,7 @@ class Numbered(Selection):
     def without(self, trial: Any, index) -> Any:
         return SimpleNamespace(effects=[e for i, e in enumerate(trial.effects) if i != index])
 
-    def _whole_gap(self, trial: Any):
+    def gap_of(self, trial: Any):
         return 10.0 - sum(self.removes[e] for e in trial.effects)
 
 

@@ -305,9 +305,9 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     for sigma in (np.ones(4), None):
         court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
         selection = Selection(ANYTHING, None, 1, court, yardstick, [], sigma=sigma)
-        assert selection._at_floor(left) is (sigma is not None and at_floor)
+        assert selection.at_floor(left) is (sigma is not None and at_floor)
     monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: 2.0 * noise[None])
-    assert Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4))._at_floor(left)
+    assert Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4)).at_floor(left)
 
 
 @pytest.mark.parametrize(
@@ -360,10 +360,10 @@ class Worth(Selection):
     def without(self, trial: Any, index) -> Any:
         return SimpleNamespace(effects=[e for i, e in enumerate(trial.effects) if i != index])
 
-    def _whole_gap(self, trial: Any):
+    def gap_of(self, trial: Any):
         return 10.0 - sum(self.removes[e] for e in trial.effects)
 
-    _usual_gap = _whole_gap
+    _usual_gap = gap_of
 
 
 def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):

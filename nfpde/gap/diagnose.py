@@ -19,6 +19,7 @@ from nfpde.gap.levels import Yardstick
 from nfpde.gap.recordings import windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
+from nfpde.gap.resting import resting_error, without_error
 from nfpde.gap.search import Search
 from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
@@ -78,6 +79,9 @@ def diagnose_gap(
 
     windows = windows or windows_for(mjmodel.nv)
     search = Search(start, dataset, candidates, guesses, windows, seed, select, report)
+    error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches)
+    dataset = without_error(mjmodel, dataset, error)
+    search = replace(search, dataset=dataset)
     check_fit(start, dataset, search.cut(), guesses[0])
     found = search.run()
     report("where, and what is left")

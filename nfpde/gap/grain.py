@@ -33,6 +33,23 @@ def encoder_grain(model: mujoco.MjModel, rows: Windows) -> Array:
     return grain
 
 
+def resting(model: mujoco.MjModel, rows: Windows) -> NDArray[np.bool_]:
+    """Which hinges and slides read the same in most rows, by degree of freedom (nv,)."""
+    found, read = np.zeros(model.nv, bool), rows.state[:, 0]
+    for dof, joint in enumerate(model.dof_jntid):
+        if is_axis(model, int(joint)):
+            readings = np.sort(read[:, model.jnt_qposadr[joint]])
+            same = np.diff(readings) <= _SAME * (readings[-1] - readings[0])
+            found[dof] = _longest(same) > len(readings) / 2
+    return found
+
+
+def _longest(same: NDArray[np.bool_]) -> int:
+    """Length of the longest run of equal values, from which neighbours are the same (n - 1,)."""
+    ends = np.flatnonzero(~np.concatenate([[False], same, [False]]))
+    return int(np.diff(ends).max())
+
+
 def step_of(values: Array) -> float:
     """What values (n,) are multiples of, give or take a constant; zero if nothing."""
     readings = np.unique(values)

@@ -39,7 +39,6 @@ class Screened:
     explained: reduction of half the weighted squares by each scatter [nats]
     share: of what the best candidate could explain; by the scatter in which it is largest
     starts: scatters in which it explains something, with values to start a fit from (G, P)
-    change: the projected, weighted change that explains most, of unit length (n,), by the first scatter
     """
 
     effect: Effect
@@ -48,7 +47,6 @@ class Screened:
     explained: tuple[float, ...]
     share: float
     starts: tuple[tuple[Scatter, Array], ...]
-    change: Array
 
 
 class _View:
@@ -58,7 +56,7 @@ class _View:
         self.scatter = scatter
         self._white = scatter.whiten(base.residuals)
         self._root = np.sqrt(scatter.weights(self._white))[..., None]
-        self._span = _span(base, scatter, self._root)
+        self._span = span_of(base, scatter, self._root)
         self._own = scatter.log_density(base.residuals).sum()
         self.residual = self._free((self._white * self._root).ravel())
 
@@ -111,11 +109,11 @@ def screen(
         starts = tuple((v.scatter, j.guesses) for v, j, share in every if share >= SHARE)
         explained = tuple(j.explained for j in judged)
         starts = starts or ((views[0].scatter, judged[0].guesses),)
-        out.append(Screened(effect, replay, values, explained, max(shares), starts, judged[0].change))
+        out.append(Screened(effect, replay, values, explained, max(shares), starts))
     return sorted(out, key=lambda s: -s.share)
 
 
-def _span(base: Fit, scatter: Scatter, root: Array) -> Array:
+def span_of(base: Fit, scatter: Scatter, root: Array) -> Array:
     """Orthonormal columns of what the free parameters can do to the weighted residuals, (n, D)."""
     slopes = [(scatter.whiten(s) * root).ravel() for s in base.slopes]
     columns = np.array(slopes).reshape(len(slopes), base.residuals.size).T
@@ -131,7 +129,6 @@ def _span(base: Fit, scatter: Scatter, root: Array) -> Array:
 class _Judged:
     explained: float
     guesses: Array
-    change: Array
 
 
 def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain: float) -> _Judged:
@@ -153,7 +150,7 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     reachable = bool(((neutral >= low) & (neutral <= high))[decisive].all())  # some are neutral at infinity only
     if reachable:  # the change is not linear in the size: a few sizes about the best one
         guesses += [neutral + f * scale[best] * (values[best] - neutral) for f in _SIZES]
-    explained, change, mixed = float(single[best]), changes[best], list[Array]()
+    explained, mixed = float(single[best]), list[Array]()
     if len(values) > 1 and explained > 0:
         gram = changes @ changes.T
         ridge = 1e-9 * max(float(np.trace(gram)), 1e-300)
@@ -162,13 +159,12 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
         mix = np.asarray(answer.x)
         together = float(mix @ along - 0.5 * mix @ gram @ mix)
         if together > explained:
-            explained, change = together, mix @ changes
+            explained = together
             if reachable:
                 mixed = [effect.together(values, mix)]
     shape = [i for i, q in enumerate(effect.quantities) if q.shape_only]
     kept = np.array(guesses)
     kept[:, shape] = values[best, shape]
     kept = np.vstack([kept, *mixed])
-    length = float(np.linalg.norm(change))
     kept = np.clip(kept, low, high)
-    return _Judged(max(explained, gain), kept, change / length if length else change)
+    return _Judged(max(explained, gain), kept)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
+from nfpde.gap.beginnings import best_beginning
 from nfpde.gap.brief import brief
 from nfpde.gap.fit import Fit
 from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
@@ -154,6 +155,8 @@ class Search:
             near = near.at(final)
             selection = replace(_moved(selection, near), ranking=[])
             final, accepted = selection.run(near.base, earlier, further=further)
+        if earlier is None:
+            final, accepted = best_beginning(selection, near.base, final, accepted)
         return near, selection, final, accepted
 
     def after(self, before: Stage, longer: Recordings, known: Fit | None) -> Stage:

@@ -29,6 +29,7 @@ from nfpde.gap.trial import (
     likelihood_test,
     noise_of,
 )
+from nfpde.gap.twins import twins
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -96,14 +97,14 @@ class Selection:
             a better place of the parameters that was found on the way, from which to select anew.
         """
         current, accepted = base, list[Accepted]()
-        first_gap = self._whole_gap(base)
+        first_gap = self.gap_of(base)
         if earlier is not None and earlier[1]:
             current, accepted = self._carried(base, *earlier, first_gap)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
-            if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self._at_floor(current)):
+            if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self.at_floor(current)):
                 break
             asked = earlier is not None and accepted and not further
-            if asked and self._whole_gap(current) <= (1 - CLOSED) * first_gap:
+            if asked and self.gap_of(current) <= (1 - CLOSED) * first_gap:
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self._round(current, [a.effect for a in accepted])
@@ -112,6 +113,8 @@ class Selection:
             found = self._accept(current, trials, first_gap)
             if found is None:
                 break
+            if more := self._twins(current, found[0], trials, [a.effect for a in accepted]):
+                found = self._accept(current, [*trials, *more], first_gap) or found
             current, new = found
             if (idle := self._idle(current)) is not None:
                 if not accepted:
@@ -132,14 +135,14 @@ class Selection:
             if len(accepted) == 1:
                 break
             smaller = self.without(current, index)
-            if not self._shrinks(current, smaller, first_gap):
+            if not self.shrinks(current, smaller, first_gap):
                 current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
         return current, accepted
 
-    def _shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
+    def shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
         """Whether a trial shrinks the gap enough for a name, or that of most windows: a few may be another's work."""
-        gap = self._whole_gap(current)
-        if gap - self._whole_gap(trial) >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
+        gap = self.gap_of(current)
+        if gap - self.gap_of(trial) >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
             return True
         usual = self._usual_gap(current)
         return usual - self._usual_gap(trial) >= max(WORTH * usual, FLOOR_ERROR)
@@ -176,9 +179,9 @@ class Selection:
         found = trial
         while accepted:
             smaller = [self.without(found, i) for i in range(len(accepted))] if len(accepted) > 1 else [base]
-            gaps = [self._whole_gap(t) for t in smaller]
+            gaps = [self.gap_of(t) for t in smaller]
             index = int(np.argmin(gaps))
-            if gaps[index] >= (1 - WORTH) * self._whole_gap(found) - FLOOR_ERROR:
+            if gaps[index] >= (1 - WORTH) * self.gap_of(found) - FLOOR_ERROR:
                 break
             found, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
         return (found if found in (trial, base) else self._linear(found, fitted=True)), accepted
@@ -197,7 +200,7 @@ class Selection:
         self._count(fit.replay)
         return self.court.judge(None, fit)
 
-    def _at_floor(self, trial: Trial) -> bool:
+    def at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
         floor = float(self.yardstick.floor.mean())
         if self.sigma is None:
@@ -206,12 +209,12 @@ class Selection:
         held = self.court.held
         noise = noise_of(trial.fit, self.sigma, held, NOISE_SEED) / held.scale
         floor = max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
-        return self._whole_gap(trial) < NEAR_FLOOR * floor + FLOOR_ERROR
+        return self.gap_of(trial) < NEAR_FLOOR * floor + FLOOR_ERROR
 
     def _gap(self, trial: Trial) -> float:
         return float(self.yardstick.gap(trial.held).mean())
 
-    def _whole_gap(self, trial: Trial) -> float:
+    def gap_of(self, trial: Trial) -> float:
         """The gap over both halves: an effect may act so seldom that one half shows nothing of it."""
         return float(np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)]).mean())
 
@@ -270,6 +273,27 @@ class Selection:
         least = 0.0 if part is GLANCED else LEAST_GAIN  # a glance is at too few windows to tell
         return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least)
 
+    def _twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
+        """Effects that do the same as one that was found, refitted, where they were not.
+
+        In smooth motion screening ranks them alike anyway.
+        """
+        if self.sigma is None:
+            return []
+        base = self.court.fitter.linearise(current.fit)
+        known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
+        replays = []
+
+        def replay_with(effect: Effect) -> Replay:
+            replays.append(self._replay([*base.replay.effects, effect]))
+            return replays[-1]
+
+        others = [(e, values) for e, values in self.candidates if key(e) not in known]
+        more = refit(self.court, base, twins(self.court, base, found, others, replay_with))
+        for replay in replays:
+            self._count(replay)
+        return more
+
     def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
         """Effects that were refitted before, beside another base, from where they were."""
         base = self.court.fitter.linearise(smaller.fit)
@@ -279,7 +303,7 @@ class Selection:
                 columns = t.fit.replay.columns(len(t.fit.replay.effects) - 1)
                 replay, values = self._replay([*base.replay.effects, t.effect]), t.fit.xi[columns][None]
                 starts = ((base.scatter, values),)
-                hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts, np.zeros(0)))
+                hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
         found = refit(self.court, base, hopeful)
         for s in hopeful:
             self._count(s.replay)
@@ -287,9 +311,9 @@ class Selection:
 
     def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
-        gap = self._whole_gap(current)
+        gap = self.gap_of(current)
         # what fits the noise better and leaves the gap explains nothing
-        worthy = [t for t in trials if self._shrinks(t, current, first_gap)]
+        worthy = [t for t in trials if self.shrinks(t, current, first_gap)]
         # each is tested at its share of the level: any that passes has been asked for
         gains = [(t, g) for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0]
         if not gains:
@@ -324,11 +348,11 @@ class Selection:
 
     def _closes(self, trial: Trial, current: Trial) -> bool:
         """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
-        if not self._at_floor(trial):
+        if not self.at_floor(trial):
             return False
         floor = 0.0 if self.sigma is not None else float(self.yardstick.floor.mean())
-        left = max(self._whole_gap(trial) - floor, FLOOR_ERROR)
-        return self._whole_gap(current) - floor >= left / (1 - CLOSED)
+        left = max(self.gap_of(trial) - floor, FLOOR_ERROR)
+        return self.gap_of(current) - floor >= left / (1 - CLOSED)
 
     def _equal(self, gap: float, best: Trial, trial: Trial, untold: bool) -> bool:
         """Whether a trial explains the same as the best, of a gap, where densities do not tell them apart, or do.
@@ -338,8 +362,8 @@ class Selection:
         """
         if self.sigma is None:
             return untold
-        left = self._whole_gap(best)
-        more = self._whole_gap(trial) - left
+        left = self.gap_of(best)
+        more = self.gap_of(trial) - left
         return more <= FLOOR_ERROR * max(left, 1.0) or (untold and more <= (1 - CLOSED) * (gap - left))
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:

@@ -1,0 +1,82 @@
+"""Effects that do the same as one that was found, wherever screening ranked them.
+
+Screening asks what a candidate explains of all that is left, from the model as it is. Where more than one thing is
+wrong, or an effect is far larger than what was tried, the cause may rank low, and something that does the same high.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects import Effect
+from nfpde.gap.chart import all_over
+from nfpde.gap.fit import Fit
+from nfpde.gap.refit import GUESSES, LOOKS
+from nfpde.gap.replay import Replay
+from nfpde.gap.screen import Screened, span_of
+from nfpde.gap.trial import GLANCED, Court, Trial
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.5
+"""Share of what an effect changes (squares) that another must be able to change alike to be tried in its place."""
+
+MOST_TWINS = 3
+"""Effects tried in the place of one, at most: those most alike."""
+
+CLOSER = 1 / 8
+"""Share of the bounds that is looked at once more about each one's best value: what sticks moves at some sizes only."""
+
+
+def twins(
+    court: Court,
+    base: Fit,
+    found: Trial,
+    candidates: Sequence[tuple[Effect, Array]],
+    replay_with: Callable[[Effect], Replay],
+) -> list[Screened]:
+    """Candidates that change predictions as an effect does, most alike first, at the size at which they do.
+
+    Args:
+        court: That judged it.
+        base: A linearised fit without it.
+        found: With it, its effect the last.
+        candidates: Others, each with values to try, (K, P).
+        replay_with: Makes the replay of the base and one more effect, its parameters last.
+    """
+    fitter, part = court.screening(base, GLANCED)
+    scatter, xi = found.fit.scatter, found.fit.xi[: len(base.xi)]
+    without = fitter.residuals_at(base.replay, xi[None])[0]
+    within = fitter.residuals_at(found.fit.replay, found.fit.xi[None])[0]
+    root = np.sqrt(scatter.weights(scatter.whiten(within)))[..., None]
+    span = span_of(part, scatter, root)
+
+    def change(there: Array) -> Array:
+        rows = np.nan_to_num((scatter.whiten(there - without) * root).reshape(len(there), -1))
+        return rows - (rows @ span) @ span.T
+
+    wanted = change(within[None])[0]
+    size, out = max(float(wanted @ wanted), 1e-300), list[Screened]()
+
+    def shares(replay: Replay, guesses: Array) -> Array:
+        return 1.0 - ((change(fitter.residuals_at(replay, guesses)) - wanted) ** 2).sum(1) / size
+
+    for effect, values in candidates:
+        replay = replay_with(effect)
+        index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
+        guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
+        guesses = np.vstack([guesses, all_over(replay, index, guesses[0], looks)])
+        found_shares = shares(replay, guesses)
+        best = guesses[int(found_shares.argmax())]
+        closer = all_over(replay, index, best, looks, CLOSER)
+        guesses = np.vstack([guesses, closer])
+        found_shares = np.concatenate([found_shares, shares(replay, closer)])
+        order = np.argsort(-found_shares, kind="stable")[:GUESSES]
+        share = float(found_shares[order[0]])
+        if share >= ALIKE:
+            start = guesses[order][:, replay.columns(index)]
+            out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),)))
+    return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]

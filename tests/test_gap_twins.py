@@ -1,0 +1,127 @@
+"""What does the same as an effect that was found, and searches that begin with another one."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.effects import effect
+from nfpde.gap.accepted import Accepted
+from nfpde.gap.beginnings import best_beginning, other_beginnings
+from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.replay import Replay
+from nfpde.gap.select import Selection
+from nfpde.gap.stage import first_fit, in_noise
+from nfpde.gap.trial import Court, Trial
+from nfpde.gap.twins import twins
+from tests.test_gap_contacts import BLOCK, pushes
+
+ANYTHING: Any = None
+
+
+def test_a_motor_that_pushes_is_found_for_a_force_that_does():
+    """A block that friction holds against small forces: only at its size does a bias do what the force does."""
+    model = mujoco.MjModel.from_xml_string(BLOCK)
+    recordings = cut_recordings(pushes(0.5), 0, 0, 60)
+    base, court = first_fit(Replay(model, None, []), recordings, np.zeros((1, 0)), capped=True)
+    stage = in_noise(base, court, recordings, 0)
+    force = effect("external_force", "block", force_x=(-9, 9), force_y=(-9, 9), force_z=(-9, 9))
+    fit = stage.court.fitter.start(Replay(model, None, [force]), np.array([[4.0, 0.0, 0.0]]), stage.base.fit.scatter)
+    found = stage.court.judge(force, fit)
+    bias = effect("actuator_bias", 0, offset=(-9, 9))
+    others = [
+        (effect("armature", "up", inertia=(0, 2)), np.array([[0.5]])),
+        (bias, np.array([[0.1], [-0.1]])),
+        (effect("joint_offset", "up", offset=(-0.1, 0.1)), np.array([[1e-3]])),
+    ]
+    alike = twins(stage.court, stage.base.fit, found, others, lambda e: Replay(model, None, [e]))
+    assert alike[0].effect is bias
+    assert alike[0].share > 0.9
+    ((_, start),) = alike[0].starts
+    assert start[0, 0] == pytest.approx(4.0, rel=0.3)
+
+
+RUB, SPRING, MOTOR, LOAD = (
+    effect(name, "elbow", **bounds)
+    for name, bounds in (
+        ("coulomb_friction", {"torque": (0, 1)}),
+        ("viscous_damping", {"damping": (0, 1)}),
+        ("armature", {"inertia": (0, 1)}),
+        ("joint_offset", {"offset": (-1, 1)}),
+    )
+)
+
+
+def trial(which, left, density=0.0):
+    """A trial that leaves a gap, at a density."""
+    rng = np.random.default_rng(3)
+    return Trial(which, SimpleNamespace(left=left), density + 0.1 * rng.normal(size=40), ANYTHING)  # pyright: ignore
+
+
+class Known(Selection):
+    """A selection that knows what each beginning leads to."""
+
+    leads: dict[str, Any] = {}  # noqa: RUF012
+
+    def run(self, base, earlier=None, *, further=False):
+        assert earlier is not None
+        assert further
+        return self.leads[earlier[1][0].effect.name]
+
+    def gap_of(self, trial: Any):
+        return trial.fit.left
+
+    _usual_gap = gap_of
+
+    def at_floor(self, trial: Any):
+        return trial.fit.left < 1.5
+
+
+def known(leads, **more):
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    yardstick: Any = SimpleNamespace(floor=np.ones((40, 2, 4)))
+    selection = Known(ANYTHING, None, 1, court, yardstick, [], **more)
+    selection.leads = leads
+    return selection
+
+
+def accepted(*effects):
+    return [Accepted(e, trial(e, 1.0), (), ()) for e in effects]
+
+
+BASE, MIMIC = trial(None, 100.0), trial(RUB, 10.0, 5.0)
+FIRST = [MIMIC, trial(SPRING, 20.0, 4.0), trial(MOTOR, 90.0, 1.0), trial(LOAD, 30.0, -3.0)]
+
+
+def test_others_to_begin_with():
+    """Those that removed half as much, surely; none where all is explained, unless by as many as may be."""
+    selection = known({}, ranking=FIRST)
+    assert other_beginnings(selection, BASE, MIMIC, accepted(RUB)) == [FIRST[1]]
+    assert other_beginnings(selection, BASE, MIMIC, accepted(RUB, SPRING)) == []
+    assert other_beginnings(selection, BASE, trial(RUB, 1.9), accepted(RUB)) == []
+    assert other_beginnings(selection, BASE, trial(RUB, 1.0), accepted(RUB, MOTOR, LOAD)) == [FIRST[1]]
+    assert other_beginnings(selection, BASE, BASE, []) == []
+
+
+@pytest.mark.parametrize(
+    ("mine", "left", "density", "other", "taken"),
+    [
+        ([RUB], 10.0, 5.0, (1.0, 9.0), True),  # explains more
+        ([RUB], 10.0, 5.0, (1.0, 5.0), False),  # not surely
+        ([RUB], 10.0, 5.0, (9.99, 9.0), False),  # surely, and not worth a name
+        ([RUB, MOTOR, LOAD], 1.0, 9.0, (1.0, 9.0), True),  # the same with two instead of three
+        ([RUB, MOTOR, LOAD], 1.0, 9.0, (1.0, 8.0), False),  # less
+    ],
+)
+def test_the_better_beginning_is_taken(mine, left, density, other, taken):
+    """One that explains more, or no less with fewer effects."""
+    found = trial(None, left, density), accepted(*mine)
+    rng = np.random.default_rng(4)
+    better = trial(None, *other), accepted(SPRING, LOAD)
+    better[0].density[:] += 0.01 * rng.normal(size=40)
+    selection = known({"viscous_damping": better}, ranking=FIRST)
+    got = best_beginning(selection, BASE, *found)
+    assert (got[0] is better[0]) is taken
+    assert (got[0] is found[0]) is not taken
