@@ -276,10 +276,10 @@ def test_what_leaves_the_gap_is_not_named():
     base = trial(None, np.zeros(40), held)
     idle = trial(friction, 5 * gained, held)
     useful = trial(damping, gained, held / 3)
-    found = selection._accept(base, [idle, useful], selection._gap(base))
+    found = selection.accept(base, [idle, useful], selection._gap(base))
     assert found is not None
     assert found[1].effect is damping
-    assert selection._accept(base, [idle], selection._gap(base)) is None
+    assert selection.accept(base, [idle], selection._gap(base)) is None
 
 
 def test_a_second_effect_need_not_be_large_beside_the_first():
@@ -291,7 +291,7 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     for size, named in ((3.0, True), (1.02, False)):
         left = trial(None, np.zeros(40), size * noise)
-        found = selection._accept(left, [trial(friction, rng.uniform(1, 2, 40), noise)], first_gap)
+        found = selection.accept(left, [trial(friction, rng.uniform(1, 2, 40), noise)], first_gap)
         assert (found is not None) is named
 
 
@@ -328,7 +328,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
     selection = Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4) if contacts else None)
-    found = selection._accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
+    found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
     assert found is not None
     assert found[1].effect is one
     assert (trials[1] in found[1].rivals) is equal
@@ -346,10 +346,10 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     base = trial(None, np.zeros(40), held)
     lucky = trial(friction, np.where(block == 0, 40.0, rng.normal(size=40)), held / 3)
     steady = trial(damping, rng.uniform(1, 2, 40), held / 3)
-    found = selection._accept(base, [lucky, steady], selection._gap(base))
+    found = selection.accept(base, [lucky, steady], selection._gap(base))
     assert found is not None
     assert found[1].effect is damping
-    assert selection._accept(base, [lucky], selection._gap(base)) is None
+    assert selection.accept(base, [lucky], selection._gap(base)) is None
 
 
 class Worth(Selection):

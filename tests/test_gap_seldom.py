@@ -68,7 +68,7 @@ def test_what_acts_in_few_blocks_is_named_where_it_closes_the_gap(blocks, left, 
     gain = np.where(acts.ravel(), 50.0, -0.01)
     chosen = selection(noise)
     assert chosen.court.gain(trial(limit, gain, noise), base)[2] > LEVEL
-    found = chosen._accept(base, [trial(limit, gain, np.where(acts, left, 1.0) * noise)], chosen.gap_of(base))
+    found = chosen.accept(base, [trial(limit, gain, np.where(acts, left, 1.0) * noise)], chosen.gap_of(base))
     assert (found is not None) is named
 
 
@@ -82,7 +82,7 @@ def test_an_effect_is_worth_a_name_beside_a_rare_one_that_is_much_larger():
     chosen = selection(noise)
     current, better = trial(None, np.zeros(40), base), trial(common, rng.uniform(1, 2, 40), without_rare)
     assert chosen.gap_of(better) > chosen.gap_of(current)
-    found = chosen._accept(current, [better], chosen.gap_of(current))
+    found = chosen.accept(current, [better], chosen.gap_of(current))
     assert found is not None
     assert found[1].effect is common
 

@@ -87,6 +87,11 @@ def known(leads, **more):
     return selection
 
 
+def begins(selection, final, *effects):
+    """Effects to begin with."""
+    return [a.effect for a in other_beginnings(selection, BASE, final, accepted(*effects))]
+
+
 def accepted(*effects):
     return [Accepted(e, trial(e, 1.0), (), ()) for e in effects]
 
@@ -98,11 +103,11 @@ FIRST = [MIMIC, trial(SPRING, 20.0, 4.0), trial(MOTOR, 90.0, 1.0), trial(LOAD, 3
 def test_others_to_begin_with():
     """Those that removed half as much, surely; none where all is explained, unless by as many as may be."""
     selection = known({}, ranking=FIRST)
-    assert other_beginnings(selection, BASE, MIMIC, accepted(RUB)) == [FIRST[1]]
-    assert other_beginnings(selection, BASE, MIMIC, accepted(RUB, SPRING)) == []
-    assert other_beginnings(selection, BASE, trial(RUB, 1.9), accepted(RUB)) == []
-    assert other_beginnings(selection, BASE, trial(RUB, 1.0), accepted(RUB, MOTOR, LOAD)) == [FIRST[1]]
-    assert other_beginnings(selection, BASE, BASE, []) == []
+    assert begins(selection, MIMIC, RUB) == [SPRING]
+    assert begins(selection, MIMIC, RUB, SPRING) == []
+    assert begins(selection, trial(RUB, 1.9), RUB) == []
+    assert begins(selection, trial(RUB, 1.0), RUB, MOTOR, LOAD) == [SPRING]
+    assert begins(selection, BASE) == []
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ the cause; forward selection does not come back from there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.select import MOST_EFFECTS, Selection
@@ -34,30 +35,36 @@ def best_beginning(selection: Selection, base: Trial, final: Trial, accepted: li
         accepted: Its effects.
     """
     found = final, accepted
-    for trial in other_beginnings(selection, base, final, accepted):
-        if trial.effect is None:
-            continue
-        selection.report(f"searching from {trial.effect.name} on")
-        begun = Accepted(trial.effect, trial, (), tuple(selection.ranking))
-        other = selection.run(base, (trial, [begun]), further=True)
+    for begun in other_beginnings(selection, base, final, accepted):
+        selection.report(f"searching from {begun.effect.name} on")
+        other = selection.run(base, (begun.trial, [begun]), further=True)
         if _better(selection, other, found):
             found = other
     return found
 
 
-def other_beginnings(selection: Selection, base: Trial, final: Trial, accepted: Sequence[Accepted]) -> list[Trial]:
-    """Effects to begin with, where those found leave much more than noise, or are as many as may be."""
+def other_beginnings(selection: Selection, base: Trial, final: Trial, accepted: Sequence[Accepted]) -> list[Accepted]:
+    """Effects to begin with, where those found leave much more than noise, or are as many as may be.
+
+    Of the first round, without what was found: what would have been accepted then, again without that and its equals.
+    """
     if not accepted:
         return []
     far = selection.gap_of(final) > FAR * float(selection.yardstick.floor.mean()) and not selection.at_floor(final)
     if not far and len(accepted) < MOST_EFFECTS:
         return []
     gap, taken = selection.gap_of(base), {key(a.effect) for a in accepted}
-    removed = {id(t): gap - selection.gap_of(t) for t in selection.ranking}
-    least = WORTHWHILE * max(removed.values(), default=0.0)
-    others = [t for t in selection.ranking if t.effect is not None and key(t.effect) not in taken]
-    others = [t for t in others if removed[id(t)] >= least and selection.court.gain(t, base)[2] <= LEVEL / len(others)]
-    return others[:OTHERS]
+    least = WORTHWHILE * max((gap - selection.gap_of(t) for t in selection.ranking), default=0.0)
+    left = [t for t in selection.ranking if t.effect is not None and key(t.effect) not in taken]
+    left, out = [t for t in left if gap - selection.gap_of(t) >= least], list[Accepted]()
+    while left and len(out) < OTHERS:
+        found = selection.accept(base, left, gap)
+        if found is None:
+            break
+        begun = found[1]
+        out.append(replace(begun, field=tuple(selection.ranking)))
+        left = [t for t in left if t is not begun.trial and t not in begun.rivals]
+    return out
 
 
 def _better(selection: Selection, other: Selected, found: Selected) -> bool:

@@ -110,11 +110,12 @@ class Selection:
             trials = self._round(current, [a.effect for a in accepted])
             if not self.ranking:
                 self.ranking = trials
-            found = self._accept(current, trials, first_gap)
+            found = self.accept(current, trials, first_gap)
             if found is None:
                 break
             if more := self._twins(current, found[0], trials, [a.effect for a in accepted]):
-                found = self._accept(current, [*trials, *more], first_gap) or found
+                every = sorted([*trials, *more], key=lambda t: -t.density.mean())
+                found = self.accept(current, every, first_gap) or found
             current, new = found
             if (idle := self._idle(current)) is not None:
                 if not accepted:
@@ -167,7 +168,7 @@ class Selection:
         if not rivals:
             return current, accepted
         smaller = self.without(current, index)
-        found = self._accept(smaller, self._again(smaller, [asked.trial, *rivals]), first_gap)
+        found = self.accept(smaller, self._again(smaller, [asked.trial, *rivals]), first_gap)
         if found is None:
             return current, accepted
         current, new = found
@@ -309,7 +310,7 @@ class Selection:
             self._count(s.replay)
         return found
 
-    def _accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
+    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self.gap_of(current)
         # what fits the noise better and leaves the gap explains nothing
@@ -375,7 +376,7 @@ class Selection:
             trials = self._again(
                 smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others]
             )
-            found = self._accept(smaller, trials, first_gap)
+            found = self.accept(smaller, trials, first_gap)
             if found is None:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]
             replaced, new = found
