@@ -40,7 +40,7 @@ class Numbered(Selection):
 def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, monkeypatch):
     """What adds to the gap goes, down to the parameters alone; what hardly changes it stays."""
     monkeypatch.setattr(Numbered, "removes", removes)
-    selection = Numbered(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
+    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
     base: Any = SimpleNamespace(effects=[], linear=True)
     trial: Any = SimpleNamespace(effects=list(range(len(removes))), linear=True)
     accepted: Any = list(range(len(removes)))
@@ -56,13 +56,13 @@ def test_an_effect_is_not_tried_beside_itself():
     residuals = np.zeros((4, 1, 2))
 
     def trial(which):
-        return Trial(which, ANYTHING, np.zeros(4), residuals)
+        return Trial(which, ANYTHING, np.zeros(4), residuals, np.zeros(4))
 
     accepted = [
         Accepted(friction, trial(friction), (trial(damping),), ()),
         Accepted(damping, trial(damping), (), ()),
     ]
-    selection = Selection(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
+    selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
     current = trial(damping)
     assert selection._told_apart(current, accepted, 0, 1.0) == (current, accepted)
 
@@ -94,7 +94,7 @@ class Stuck(Selection):
 
     smaller: Any = None
 
-    def _replay(self, effects) -> Any:
+    def replay(self, effects) -> Any:
         return self.smaller
 
     def _converged(self, fit) -> Any:
@@ -113,8 +113,8 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     both: Any = Line(start, [one, size * other], ["effect"])
     fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
-    selection = Stuck(ANYTHING, None, 1, court, ANYTHING, [])
-    found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start))
+    selection = Stuck(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start, np.zeros(50)))
     assert (found is not None) is idle
     assert selection.steps > 0
     assert Stuck.smaller.sim.simulated_steps == 0
@@ -137,13 +137,15 @@ def test_selects_anew_from_where_the_parameters_got_unstuck(monkeypatch):
     """Gaps are counted by what the better place leaves, and nothing that was credited beside the other one stays."""
     rng = np.random.default_rng(31)
     noise, large, small = rng.normal(size=(3, 5, 40, 2, 3)) * np.array([1e-3, 1.0, 0.01])[:, None, None, None, None]
-    stuck, better = (Trial(None, ANYTHING, np.zeros(40), held[0]) for held in (large, small))
+    stuck, better = (Trial(None, ANYTHING, np.zeros(40), held[0], np.zeros(40)) for held in (large, small))
     monkeypatch.setattr(Unstuck, "better", better)
     court: Any = SimpleNamespace(capped=0.0)
     precision = np.zeros((2, 3))
     stage = Stage(ANYTHING, large[0], stuck, court, Yardstick.of(noise, stuck.held, 0.0), np.ones(4), precision)
     search = Search(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, print)
-    near, selection, final, accepted = search._select(stage, Unstuck(ANYTHING, None, 1, court, stage.yardstick, []))
+    near, selection, final, accepted = search._select(
+        stage, Unstuck(ANYTHING, None, 1, court, [], yardstick=stage.yardstick)
+    )
     assert near.base is final is better
     assert not accepted
     assert selection.ranking == [better]

@@ -260,7 +260,7 @@ def test_a_diverged_window_is_bad_but_finite():
 def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
     fit: Any = SimpleNamespace(residuals=residuals)
-    return Trial(effect, fit, density, residuals)
+    return Trial(effect, fit, density, residuals, density)
 
 
 def test_what_leaves_the_gap_is_not_named():
@@ -270,7 +270,7 @@ def test_what_leaves_the_gap_is_not_named():
     held, gained = 3 * rng.normal(size=(40, 2, 4)), rng.uniform(1, 2, 40)
     court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
-    selection = Selection(ANYTHING, None, 1, court, yardstick, [])
+    selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick)
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     damping = effect("viscous_damping", "elbow", damping=(0.0, 1.0))
     base = trial(None, np.zeros(40), held)
@@ -287,7 +287,7 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
     rng = np.random.default_rng(9)
     noise, first_gap = rng.normal(size=(40, 2, 4)), 1000.0
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
-    selection = Selection(ANYTHING, None, 1, court, Yardstick(np.ones((2, 4)), noise[None]), [])
+    selection = Selection(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None]))
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     for size, named in ((3.0, True), (1.02, False)):
         left = trial(None, np.zeros(40), size * noise)
@@ -304,10 +304,10 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     left, yardstick = trial(None, np.zeros(40), size * noise), Yardstick(np.ones((2, 4)), noise[None], 0.0)
     for sigma in (np.ones(4), None):
         court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
-        selection = Selection(ANYTHING, None, 1, court, yardstick, [], sigma=sigma)
+        selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
         assert selection.at_floor(left) is (sigma is not None and at_floor)
     monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: 2.0 * noise[None])
-    assert Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4)).at_floor(left)
+    assert Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4)).at_floor(left)
 
 
 @pytest.mark.parametrize(
@@ -327,7 +327,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     trials = [trial(one, density, noise), trial(other, density - behind - 1e-6 * rng.normal(size=40), size * noise)]
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
-    selection = Selection(ANYTHING, None, 1, court, yardstick, [], sigma=np.ones(4) if contacts else None)
+    selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
     found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
     assert found is not None
     assert found[1].effect is one
@@ -340,7 +340,9 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     block = np.arange(40) // 4
     held = 3 * rng.normal(size=(40, 2, 4))
     court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
-    selection = Selection(ANYTHING, None, 1, court, Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4))), [])
+    selection = Selection(
+        ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
+    )
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     damping = effect("viscous_damping", "elbow", damping=(0.0, 1.0))
     base = trial(None, np.zeros(40), held)
@@ -368,7 +370,7 @@ class Worth(Selection):
 
 def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
     """Of three effects the one that removes nothing any more goes, the others stay in their order."""
-    selection = Worth(ANYTHING, None, 1, ANYTHING, ANYTHING, [])
+    selection = Worth(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
     everything: Any = SimpleNamespace(effects=[0, 1, 2])
     accepted: Any = [0, 1, 2]
     current: Any

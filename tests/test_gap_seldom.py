@@ -27,13 +27,13 @@ BLOCK = np.arange(40) // 4
 def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
     fit: Any = SimpleNamespace(residuals=residuals)
-    return Trial(effect, fit, density, residuals)
+    return Trial(effect, fit, density, residuals, density)
 
 
 def selection(noise):
     """A selection whose windows show nothing but this noise (N, nv, C) where a model is right."""
     court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0))
-    return Selection(ANYTHING, None, 1, court, Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0), [])
+    return Selection(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0))
 
 
 def test_likelihood_ratios_are_no_more_often_large_than_they_say():
@@ -175,3 +175,36 @@ def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, r
     assert said == runs
     assert found.early is (len(runs) == 1)
     assert found.selection.steps == 7 * len(runs)
+
+
+class Straight:
+    """A replay of one parameter: windows are what is left without it, and it changes all of them alike."""
+
+    nfree, low, high = 1, np.zeros(1), np.ones(1)
+
+    def inward(self, xi):
+        return xi
+
+    def outward(self, u):
+        return u
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return windows + xi[:, 0, None, None, None]
+
+
+def test_a_few_windows_of_another_fault_do_not_speak_against_a_true_one():
+    """What explains all but these is likelier, though it foretold next to no scatter, in which they cannot be."""
+    rng = np.random.default_rng(33)
+    fitted, held = -0.5 + 1e-3 * rng.normal(size=(2, 80, 1, 2))
+    held[:8] += 0.4 * rng.normal(size=(8, 1, 2))
+    floor = np.full((1, 2), 1e-5)
+    windows: list[Any] = [fitted, held]
+    fitter, other = (Fitter(w, (1, 2)) for w in windows)
+    court = Court(np.arange(80) // 4, fitter, other, floor, np.zeros(1))
+    replay: Any = Straight()
+    none, right = (fitter.start(replay, np.array([[xi]]), learn_scatter(fitted + xi, 0, floor)) for xi in (0.0, 0.5))
+    better, base = court.judge(None, right), court.judge(None, none)
+    assert court.gain(better, base)[2] < 1e-6
+    assert (better.foretold - base.foretold).sum() < 0
+    _, _, p = court.gain(base, better)
+    assert p > 0.5

@@ -15,7 +15,7 @@ from nfpde.gap.replay import Replay
 from nfpde.gap.select import Selection
 from nfpde.gap.stage import first_fit, in_noise
 from nfpde.gap.trial import Court, Trial
-from nfpde.gap.twins import twins
+from nfpde.gap.twins import find_twins
 from tests.test_gap_contacts import BLOCK, pushes
 
 ANYTHING: Any = None
@@ -36,7 +36,7 @@ def test_a_motor_that_pushes_is_found_for_a_force_that_does():
         (bias, np.array([[0.1], [-0.1]])),
         (effect("joint_offset", "up", offset=(-0.1, 0.1)), np.array([[1e-3]])),
     ]
-    alike = twins(stage.court, stage.base.fit, found, others, lambda e: Replay(model, None, [e]))
+    alike = find_twins(stage.court, stage.base.fit, found, others, lambda e: Replay(model, None, [e]))
     assert alike[0].effect is bias
     assert alike[0].share > 0.9
     ((_, start),) = alike[0].starts
@@ -57,7 +57,8 @@ RUB, SPRING, MOTOR, LOAD = (
 def trial(which, left, density=0.0):
     """A trial that leaves a gap, at a density."""
     rng = np.random.default_rng(3)
-    return Trial(which, SimpleNamespace(left=left), density + 0.1 * rng.normal(size=40), ANYTHING)  # pyright: ignore
+    fit: Any = SimpleNamespace(left=left)
+    return Trial(which, fit, density + 0.1 * rng.normal(size=40), ANYTHING, ANYTHING)
 
 
 class Known(Selection):
@@ -82,7 +83,7 @@ class Known(Selection):
 def known(leads, **more):
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
     yardstick: Any = SimpleNamespace(floor=np.ones((40, 2, 4)))
-    selection = Known(ANYTHING, None, 1, court, yardstick, [], **more)
+    selection = Known(ANYTHING, None, 1, court, [], yardstick=yardstick, **more)
     selection.leads = leads
     return selection
 

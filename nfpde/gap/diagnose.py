@@ -75,7 +75,9 @@ def diagnose_gap(
 
     def select(stage: Stage) -> Selection:
         sigma = stage.sigma if search.touches else None
-        return Selection(mjmodel, space, nthread, stage.court, stage.yardstick, candidates, report, device, sigma=sigma)
+        return Selection(
+            mjmodel, space, nthread, stage.court, candidates, report, device, yardstick=stage.yardstick, sigma=sigma
+        )
 
     windows = windows or windows_for(mjmodel.nv)
     search = Search(start, dataset, candidates, guesses, windows, seed, select, report)

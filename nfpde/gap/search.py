@@ -49,7 +49,7 @@ class Found:
     @property
     def remembers(self) -> bool:
         """Whether an accepted effect acts by commands from before a window."""
-        return any(a.effect.memory_time() > 0 for a in self.accepted)
+        return _remembers(self.accepted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +122,8 @@ class Search:
         self.report("noise of the sensors")
         first = in_noise(base, court, lengths[0], self.seed)
         near, selection, final, accepted = self._select(first, self.select(first))
+        if lead is None or not _remembers(accepted):  # else all is searched again
+            final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
         while self.touches and known < len(accepted) < MOST_EFFECTS:
             known = len(accepted)
@@ -155,8 +157,6 @@ class Search:
             near = near.at(final)
             selection = replace(_moved(selection, near), ranking=[])
             final, accepted = selection.run(near.base, earlier, further=further)
-        if earlier is None:
-            final, accepted = best_beginning(selection, near.base, final, accepted)
         return near, selection, final, accepted
 
     def after(self, before: Stage, longer: Recordings, known: Fit | None) -> Stage:
@@ -174,6 +174,10 @@ class Search:
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings) if self.touches else []) or [recordings]
+
+
+def _remembers(accepted: Sequence[Accepted]) -> bool:
+    return any(a.effect.memory_time() > 0 for a in accepted)
 
 
 def _moved(selection: Selection, near: Stage) -> Selection:

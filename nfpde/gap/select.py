@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted, key, parameter_count
 from nfpde.gap.fit import Fit
 from nfpde.gap.levels import Yardstick
-from nfpde.gap.refit import refit
-from nfpde.gap.replay import Replay
-from nfpde.gap.screen import Screened, screen
+from nfpde.gap.rounds import Rounds
 from nfpde.gap.trial import (
     APART,
-    GLANCED,
     LEAST_GAIN,
     LEVEL,
-    MANY,
-    SCREENED,
-    Court,
     Trial,
     block_test,
     likelihood_test,
     noise_of,
 )
-from nfpde.gap.twins import twins
-from nfpde.parameters import ParameterSpace
-from nfpde.sim import Device
 
 Array = NDArray[np.float64]
 
@@ -58,29 +47,18 @@ NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
 
-@dataclass(eq=False)
-class Selection:
+@dataclass(eq=False, kw_only=True)
+class Selection(Rounds):
     """Adds effects to a base fit as long as recordings that no fit saw ask for them.
 
-    model, space, nthread, device: of the simulator
-    court: refits and judges
     yardstick: measures the gap
-    candidates: effects with the values to screen
-    report: called with what is being done
     sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
+    ranking: candidates of the first round
     """
 
-    model: mujoco.MjModel
-    space: ParameterSpace | None
-    nthread: int
-    court: Court
     yardstick: Yardstick
-    candidates: Sequence[tuple[Effect, Array]]
-    report: Callable[[str], None] = lambda what: None
-    device: Device = "cpu"
-    ranking: list[Trial] = field(default_factory=list)
     sigma: Array | None = None
-    steps: int = 0
+    ranking: list[Trial] = field(default_factory=list)
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
@@ -107,14 +85,17 @@ class Selection:
             if asked and self.gap_of(current) <= (1 - CLOSED) * first_gap:
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
-            trials = self._round(current, [a.effect for a in accepted])
+            trials = self.refitted(current, [a.effect for a in accepted])
             if not self.ranking:
                 self.ranking = trials
             found = self.accept(current, trials, first_gap)
             if found is None:
                 break
-            if more := self._twins(current, found[0], trials, [a.effect for a in accepted]):
-                every = sorted([*trials, *more], key=lambda t: -t.density.mean())
+            # in smooth motion screening ranks what does the same alike anyway
+            if self.sigma is not None:
+                more = self.twins(current, found[0], trials, [a.effect for a in accepted])
+                every = sorted([*trials, *more], key=lambda t: -float(t.density.mean()))
+                self.ranking = every if self.ranking is trials else self.ranking
                 found = self.accept(current, every, first_gap) or found
             current, new = found
             if (idle := self._idle(current)) is not None:
@@ -168,7 +149,7 @@ class Selection:
         if not rivals:
             return current, accepted
         smaller = self.without(current, index)
-        found = self.accept(smaller, self._again(smaller, [asked.trial, *rivals]), first_gap)
+        found = self.accept(smaller, self.again(smaller, [asked.trial, *rivals]), first_gap)
         if found is None:
             return current, accepted
         current, new = found
@@ -190,15 +171,15 @@ class Selection:
     def _idle(self, trial: Trial) -> Trial | None:
         """The same place without the last effect, refitted, where that effect does nothing: others had been stuck."""
         replay = trial.fit.replay
-        smaller, keep = self._replay(replay.effects[:-1]), replay.columns(len(replay.effects) - 1).start
+        smaller, keep = self.replay(replay.effects[:-1]), replay.columns(len(replay.effects) - 1).start
         fit = self.court.fitter.start(smaller, trial.fit.xi[:keep][None], trial.fit.scatter)
-        self._count(smaller)
+        self.count(smaller)
         return self._converged(fit) if fit.cost - trial.fit.cost < LEAST_GAIN else None
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
         """The trial with slopes at its place, after a fit to the end unless it is fitted already."""
         fit = self.court.fitter.linearise(trial.fit if fitted else self.court.converged(trial.fit))
-        self._count(fit.replay)
+        self.count(fit.replay)
         return self.court.judge(None, fit)
 
     def at_floor(self, trial: Trial) -> bool:
@@ -227,7 +208,7 @@ class Selection:
     def _converged(self, fit: Fit) -> Trial:
         """A fit brought to its end, so that the next effect does not make up for what is left of the way."""
         fit = self.court.converged(fit)
-        self._count(fit.replay)
+        self.count(fit.replay)
         return self.court.judge(None, fit)
 
     def without(self, trial: Trial, index: int) -> Trial:
@@ -235,80 +216,11 @@ class Selection:
         replay = trial.fit.replay
         effects = [e for i, e in enumerate(replay.effects) if i != index]
         keep = np.delete(np.arange(replay.nfree), replay.columns(index))
-        smaller = self._replay(effects)
+        smaller = self.replay(effects)
         fit = self.court.fitter.start(smaller, trial.fit.xi[keep][None], trial.fit.scatter)
         settled = self.court.settle(fit)
-        self._count(smaller)
+        self.count(smaller)
         return self.court.judge(None, settled)
-
-    def _round(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
-        base = self.court.fitter.linearise(current.fit)
-        keys = {key(e) for e in taken}
-        open_ones = [(e, values) for e, values in self.candidates if key(e) not in keys]
-        replays = []
-
-        def replay_with(effect: Effect) -> Replay:
-            replays.append(self._replay([*base.replay.effects, effect]))
-            return replays[-1]
-
-        if len(open_ones) > MANY:
-            glanced = self._screen(base, open_ones, replay_with, GLANCED)
-            # what contacts do is searched for anyway, see `refit`
-            kept = glanced[:MANY] + [s for s in glanced[MANY:] if s.effect.whole == "contact"]
-            open_ones = [(s.effect, s.values) for s in kept]
-        screened = self._screen(base, open_ones, replay_with, SCREENED)
-        self.report(f"refitting with effect {len(taken) + 1}")
-        trials = refit(self.court, base, screened)
-        for replay in replays:
-            self._count(replay)
-        return trials
-
-    def _screen(
-        self,
-        base: Fit,
-        candidates: Sequence[tuple[Effect, Array]],
-        replay_with: Callable[[Effect], Replay],
-        part: tuple[int, float],
-    ) -> list[Screened]:
-        court = self.court
-        least = 0.0 if part is GLANCED else LEAST_GAIN  # a glance is at too few windows to tell
-        return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least)
-
-    def _twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
-        """Effects that do the same as one that was found, refitted, where they were not.
-
-        In smooth motion screening ranks them alike anyway.
-        """
-        if self.sigma is None:
-            return []
-        base = self.court.fitter.linearise(current.fit)
-        known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
-        replays = []
-
-        def replay_with(effect: Effect) -> Replay:
-            replays.append(self._replay([*base.replay.effects, effect]))
-            return replays[-1]
-
-        others = [(e, values) for e, values in self.candidates if key(e) not in known]
-        more = refit(self.court, base, twins(self.court, base, found, others, replay_with))
-        for replay in replays:
-            self._count(replay)
-        return more
-
-    def _again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
-        """Effects that were refitted before, beside another base, from where they were."""
-        base = self.court.fitter.linearise(smaller.fit)
-        hopeful = []
-        for t in trials:
-            if t.effect is not None:
-                columns = t.fit.replay.columns(len(t.fit.replay.effects) - 1)
-                replay, values = self._replay([*base.replay.effects, t.effect]), t.fit.xi[columns][None]
-                starts = ((base.scatter, values),)
-                hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
-        found = refit(self.court, base, hopeful)
-        for s in hopeful:
-            self._count(s.replay)
-        return found
 
     def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
@@ -343,7 +255,7 @@ class Selection:
         What acts seldom gains in too few blocks to tell; where it leaves no more than noise would, their sum counts.
         """
         gain, _, p = self.court.gain(trial, current)
-        if p > level and likelihood_test(trial.density - current.density, self.court.block) <= level:
+        if p > level and likelihood_test(trial.foretold - current.foretold, self.court.block) <= level:
             p = 0.0 if self._closes(trial, current) else p
         return gain if p <= level else 0.0
 
@@ -373,9 +285,7 @@ class Selection:
             self.report(f"second look at effect {index + 1}")
             smaller = self.without(current, index)
             others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
-            trials = self._again(
-                smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others]
-            )
+            trials = self.again(smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others])
             found = self.accept(smaller, trials, first_gap)
             if found is None:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]
@@ -390,10 +300,3 @@ class Selection:
             accepted = [a for i, a in enumerate(accepted) if i != index] + [new]
             current = replaced
         return current, accepted
-
-    def _replay(self, effects: Sequence[Effect]) -> Replay:
-        return Replay(self.model, self.space, effects, self.nthread, self.device)
-
-    def _count(self, replay: Replay) -> None:
-        self.steps += replay.sim.simulated_steps
-        replay.sim.simulated_steps = 0

@@ -43,14 +43,16 @@ class Trial:
 
     effect: the candidate that was added; None for the base
     fit: base parameters, accepted effects and the candidate together
-    density: log density of the held-out windows (held,)
+    density: log density of the held-out windows (held,), by the scatter that these show
     held: residuals of the held-out windows (held, nv, C)
+    foretold: log density of the held-out windows (held,), by the scatter of those that it was fitted to
     """
 
     effect: Effect | None
     fit: Fit
     density: Array
     held: Array
+    foretold: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +108,15 @@ class Court:
         return learn_scatter(fit.residuals, fit.replay.nfree, self.floor)
 
     def judge(self, effect: Effect | None, fit: Fit) -> Trial:
-        """Residuals and log density on the held-out windows."""
+        """Residuals and log density on the held-out windows.
+
+        Each model is judged by the scatter that it leaves there. One that explains most of what there is foretells a
+        small scatter, in which a few windows that show another fault are next to impossible: by that scatter it would
+        be worse than a model that explains nothing.
+        """
         held = self.held.residuals_at(fit.replay, fit.xi[None])[0]
-        return Trial(effect, fit, fit.scatter.log_density(held), held)
+        density = learn_scatter(held, 0, self.floor).log_density(held)
+        return Trial(effect, fit, density, held, fit.scatter.log_density(held))
 
     def gain(self, better: Trial, base: Trial) -> tuple[float, float, float]:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""

@@ -31,7 +31,7 @@ CLOSER = 1 / 8
 """Share of the bounds that is looked at once more about each one's best value: what sticks moves at some sizes only."""
 
 
-def twins(
+def find_twins(
     court: Court,
     base: Fit,
     found: Trial,
@@ -55,7 +55,8 @@ def twins(
     span = span_of(part, scatter, root)
 
     def change(there: Array) -> Array:
-        rows = np.nan_to_num((scatter.whiten(there - without) * root).reshape(len(there), -1))
+        white = (scatter.whiten(there - without) * root).reshape(len(there), -1)
+        rows = np.nan_to_num(white, nan=0.0, posinf=0.0, neginf=0.0)
         return rows - (rows @ span) @ span.T
 
     wanted = change(within[None])[0]

@@ -1,0 +1,118 @@
+"""Candidates for the next effect, refitted beside what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.effects import Effect
+from nfpde.gap.accepted import key
+from nfpde.gap.fit import Fit
+from nfpde.gap.refit import refit
+from nfpde.gap.replay import Replay
+from nfpde.gap.screen import Screened, screen
+from nfpde.gap.trial import GLANCED, LEAST_GAIN, MANY, SCREENED, Court, Trial
+from nfpde.gap.twins import find_twins
+from nfpde.parameters import ParameterSpace
+from nfpde.sim import Device
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Rounds:
+    """Refits candidates, and counts what that takes.
+
+    model, space, nthread, device: of the simulator
+    court: refits and judges
+    candidates: effects with the values to screen
+    report: called with what is being done
+    steps: simulated so far
+    """
+
+    model: mujoco.MjModel
+    space: ParameterSpace | None
+    nthread: int
+    court: Court
+    candidates: Sequence[tuple[Effect, Array]]
+    report: Callable[[str], None] = lambda what: None
+    device: Device = "cpu"
+    steps: int = 0
+
+    def refitted(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
+        """The candidates that screening likes, refitted beside what is there; most held-out density first."""
+        base = self.court.fitter.linearise(current.fit)
+        keys = {key(e) for e in taken}
+        open_ones = [(e, values) for e, values in self.candidates if key(e) not in keys]
+        replay_with, replays = self._beside(base)
+        if len(open_ones) > MANY:
+            glanced = self._screen(base, open_ones, replay_with, GLANCED)
+            # what contacts do is searched for anyway, see `refit`
+            kept = glanced[:MANY] + [s for s in glanced[MANY:] if s.effect.whole == "contact"]
+            open_ones = [(s.effect, s.values) for s in kept]
+        screened = self._screen(base, open_ones, replay_with, SCREENED)
+        self.report(f"refitting with effect {len(taken) + 1}")
+        trials = refit(self.court, base, screened)
+        for replay in replays:
+            self.count(replay)
+        return trials
+
+    def twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
+        """Effects that do the same as one that was found, refitted, where they were not."""
+        base = self.court.fitter.linearise(current.fit)
+        known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
+        replay_with, replays = self._beside(base)
+        others = [(e, values) for e, values in self.candidates if key(e) not in known]
+        more = refit(self.court, base, find_twins(self.court, base, found, others, replay_with))
+        for replay in replays:
+            self.count(replay)
+        return more
+
+    def again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
+        """Effects that were refitted before, beside another base, from where they were."""
+        base = self.court.fitter.linearise(smaller.fit)
+        hopeful = []
+        for t in trials:
+            if t.effect is not None:
+                columns = t.fit.replay.columns(len(t.fit.replay.effects) - 1)
+                replay, values = self.replay([*base.replay.effects, t.effect]), t.fit.xi[columns][None]
+                starts = ((base.scatter, values),)
+                hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
+        found = refit(self.court, base, hopeful)
+        for s in hopeful:
+            self.count(s.replay)
+        return found
+
+    def _screen(
+        self,
+        base: Fit,
+        candidates: Sequence[tuple[Effect, Array]],
+        replay_with: Callable[[Effect], Replay],
+        part: tuple[int, float],
+    ) -> list[Screened]:
+        court = self.court
+        least = 0.0 if part is GLANCED else LEAST_GAIN  # a glance is at too few windows to tell
+        return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least)
+
+    def _beside(self, base: Fit) -> tuple[Callable[[Effect], Replay], list[Replay]]:
+        """What makes the replay of a base and one more effect, and those that it made."""
+        made: list[Replay] = []
+
+        def replay_with(effect: Effect) -> Replay:
+            made.append(self.replay([*base.replay.effects, effect]))
+            return made[-1]
+
+        return replay_with, made
+
+    def replay(self, effects: Sequence[Effect]) -> Replay:
+        """The model with effects."""
+        return Replay(self.model, self.space, effects, self.nthread, self.device)
+
+    def count(self, replay: Replay) -> None:
+        """Add the steps that a replay simulated."""
+        self.steps += replay.sim.simulated_steps
+        replay.sim.simulated_steps = 0
