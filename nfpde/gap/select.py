@@ -94,7 +94,8 @@ class Selection(Rounds):
             # in smooth motion screening ranks what does the same alike anyway
             if self.sigma is not None:
                 more = self.twins(current, found[0], trials, [a.effect for a in accepted])
-                every = sorted([*trials, *more], key=lambda t: -float(t.density.mean()))
+                every = trials + more
+                every.sort(key=lambda t: -float(t.density.mean()))
                 self.ranking = every if self.ranking is trials else self.ranking
                 found = self.accept(current, every, first_gap) or found
             current, new = found
