@@ -56,9 +56,9 @@ RUB, SPRING, MOTOR, LOAD = (
 
 def trial(which, left, density=0.0):
     """A trial that leaves a gap, at a density."""
-    rng = np.random.default_rng(3)
+    densities = density + 0.1 * np.random.default_rng(3).normal(size=40)
     fit: Any = SimpleNamespace(left=left)
-    return Trial(which, fit, density + 0.1 * rng.normal(size=40), ANYTHING, ANYTHING)
+    return Trial(which, fit, densities, ANYTHING, densities)
 
 
 class Known(Selection):
