@@ -33,6 +33,8 @@ class Numbered(Selection):
     def gap_of(self, trial: Any):
         return 10.0 - sum(self.removes[e] for e in trial.effects)
 
+    _usual_gap = gap_of
+
 
 @pytest.mark.parametrize(
     ("removes", "kept"), [((5.0, -3.0, 2.0), [0, 2]), ((5.0, -0.01), [0, 1]), ((-1.0, -2.0), []), ((4.0,), [0])]
@@ -48,6 +50,19 @@ def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, 
     found, rest = selection.useful(base, trial, accepted)
     assert list(rest) == found.effects == kept
     assert found.linear  # standard errors are read off it
+
+
+def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
+    """Of three effects the one that removes nothing any more goes, the others stay in their order."""
+    monkeypatch.setattr(Numbered, "removes", (5.0, 0.0, 3.0))
+    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    everything: Any = SimpleNamespace(effects=[0, 1, 2])
+    accepted: Any = [0, 1, 2]
+    current: Any
+    current, kept = selection._pruned(everything, accepted, 10.0)
+    assert kept == current.effects == [0, 2]
+    monkeypatch.setattr(Numbered, "removes", (0.0, 0.0, 0.0))
+    assert len(selection._pruned(everything, accepted, 10.0)[1]) == 1  # what was asked for is not all given up
 
 
 def test_an_effect_is_not_tried_beside_itself():
@@ -130,7 +145,7 @@ class Unstuck(Selection):
     def run(self, base, earlier=None, *, further=False):
         self.steps += 1
         self.ranking.append(base)
-        return (base if base is self.better else self.better), []
+        return self.better, []
 
 
 def test_selects_anew_from_where_the_parameters_got_unstuck(monkeypatch):

@@ -352,29 +352,3 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     assert found is not None
     assert found[1].effect is damping
     assert selection.accept(base, [lucky], selection._gap(base)) is None
-
-
-class Worth(Selection):
-    """A selection of numbered effects, each of which removes so much of the gap, whatever else is there."""
-
-    removes = (5.0, 0.0, 3.0)
-
-    def without(self, trial: Any, index) -> Any:
-        return SimpleNamespace(effects=[e for i, e in enumerate(trial.effects) if i != index])
-
-    def gap_of(self, trial: Any):
-        return 10.0 - sum(self.removes[e] for e in trial.effects)
-
-    _usual_gap = gap_of
-
-
-def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
-    """Of three effects the one that removes nothing any more goes, the others stay in their order."""
-    selection = Worth(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
-    everything: Any = SimpleNamespace(effects=[0, 1, 2])
-    accepted: Any = [0, 1, 2]
-    current: Any
-    current, kept = selection._pruned(everything, accepted, 10.0)
-    assert kept == current.effects == [0, 2]
-    monkeypatch.setattr(Worth, "removes", (0.0, 0.0, 0.0))
-    assert len(selection._pruned(everything, accepted, 10.0)[1]) == 1  # what was asked for is not all given up

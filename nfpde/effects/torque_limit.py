@@ -46,8 +46,7 @@ class TorqueLimit(Effect):
     def screened(self, scales: DataScales) -> Array:
         """Limits from one that cuts off much, always, to one that cuts off little of the largest torque, seldom."""
         low, high = self.parameters[0].low, self.parameters[0].high
-        limits = np.geomspace(5 * low, 0.95 / _ABOVE * high, 6)[:, None]
-        return np.clip(limits, 1.01 * low, 0.99 * high)
+        return np.geomspace(5 * low, 0.95 / _ABOVE * high, 6)[:, None]
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; the actuators must act on joints with a limited force range or none.

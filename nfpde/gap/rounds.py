@@ -57,8 +57,7 @@ class Rounds:
         screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = refit(self.court, base, screened)
-        for replay in replays:
-            self.count(replay)
+        self.count(*replays)
         return trials
 
     def twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
@@ -68,8 +67,7 @@ class Rounds:
         replay_with, replays = self._beside(base)
         others = [(e, values) for e, values in self.candidates if key(e) not in known]
         more = refit(self.court, base, find_twins(self.court, base, found, others, replay_with))
-        for replay in replays:
-            self.count(replay)
+        self.count(*replays)
         return more
 
     def again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -83,8 +81,7 @@ class Rounds:
                 starts = ((base.scatter, values),)
                 hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
         found = refit(self.court, base, hopeful)
-        for s in hopeful:
-            self.count(s.replay)
+        self.count(*(s.replay for s in hopeful))
         return found
 
     def _screen(
@@ -112,7 +109,8 @@ class Rounds:
         """The model with effects."""
         return Replay(self.model, self.space, effects, self.nthread, self.device)
 
-    def count(self, replay: Replay) -> None:
-        """Add the steps that a replay simulated."""
-        self.steps += replay.sim.simulated_steps
-        replay.sim.simulated_steps = 0
+    def count(self, *replays: Replay) -> None:
+        """Add the steps that replays simulated."""
+        for replay in replays:
+            self.steps += replay.sim.simulated_steps
+            replay.sim.simulated_steps = 0

@@ -86,18 +86,15 @@ class Selection(Rounds):
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self.refitted(current, [a.effect for a in accepted])
-            if not self.ranking:
-                self.ranking = trials
             found = self.accept(current, trials, first_gap)
+            # in smooth motion screening ranks what does the same alike anyway
+            if found is not None and self.sigma is not None:
+                trials = trials + self.twins(current, found[0], trials, [a.effect for a in accepted])
+                trials.sort(key=lambda t: -float(t.density.mean()))
+                found = self.accept(current, trials, first_gap) or found
+            self.ranking = self.ranking or trials
             if found is None:
                 break
-            # in smooth motion screening ranks what does the same alike anyway
-            if self.sigma is not None:
-                more = self.twins(current, found[0], trials, [a.effect for a in accepted])
-                every = trials + more
-                every.sort(key=lambda t: -float(t.density.mean()))
-                self.ranking = every if self.ranking is trials else self.ranking
-                found = self.accept(current, every, first_gap) or found
             current, new = found
             if (idle := self._idle(current)) is not None:
                 if not accepted:

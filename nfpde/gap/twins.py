@@ -62,7 +62,7 @@ def find_twins(
     wanted = change(within[None])[0]
     size, out = max(float(wanted @ wanted), 1e-300), list[Screened]()
 
-    def shares(replay: Replay, guesses: Array) -> Array:
+    def likeness(replay: Replay, guesses: Array) -> Array:
         return 1.0 - ((change(fitter.residuals_at(replay, guesses)) - wanted) ** 2).sum(1) / size
 
     for effect, values in candidates:
@@ -70,13 +70,13 @@ def find_twins(
         index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
         guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
         guesses = np.vstack([guesses, all_over(replay, index, guesses[0], looks)])
-        found_shares = shares(replay, guesses)
-        best = guesses[int(found_shares.argmax())]
+        alike = likeness(replay, guesses)
+        best = guesses[int(alike.argmax())]
         closer = all_over(replay, index, best, looks, CLOSER)
         guesses = np.vstack([guesses, closer])
-        found_shares = np.concatenate([found_shares, shares(replay, closer)])
-        order = np.argsort(-found_shares, kind="stable")[:GUESSES]
-        share = float(found_shares[order[0]])
+        alike = np.concatenate([alike, likeness(replay, closer)])
+        order = np.argsort(-alike, kind="stable")[:GUESSES]
+        share = float(alike[order[0]])
         if share >= ALIKE:
             start = guesses[order][:, replay.columns(index)]
             out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),)))
