@@ -310,6 +310,22 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     assert Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4)).at_floor(left)
 
 
+@pytest.mark.parametrize(("few", "named"), [(40.0, True), (50.0, True), (90.0, False), (400.0, False)])
+def test_most_windows_must_gain_more_than_a_few_lose(few, named):
+    """Squares of 1 are halved in 36 windows of 40, and from 25 become `few` in the others, which make up the mean.
+
+    The geometric mean falls by the factor .5**.9 * (few / 25)**.1, and the mean of 3.4 becomes (18 + 4 few) / 40.
+    The product of the factors is below one up to a `few` of 54.
+    """
+    last = (np.arange(40) >= 36)[:, None, None]
+    before, after = np.where(last, 25.0, 1.0), np.where(last, few, 0.5)
+    residuals = [np.sqrt(squares) * np.ones((40, 1, 2)) for squares in (before, after)]
+    yardstick = Yardstick(np.ones((1, 2)), np.zeros((1, 40, 1, 2)), 0.0)
+    selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=yardstick)
+    current, found = (trial(None, np.zeros(40), r) for r in residuals)
+    assert selection.shrinks(found, current, 3.4) is named
+
+
 @pytest.mark.parametrize(
     ("size", "behind", "contacts", "equal"),
     [(1.02, 3.0, True, True), (1.02, 3.0, False, False), (1.8, 1e-4, True, False), (1.8, 1e-4, False, True)],

@@ -120,12 +120,15 @@ class Selection(Rounds):
         return current, accepted
 
     def shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
-        """Whether a trial shrinks the gap enough for a name, or that of most windows: a few may be another's work."""
-        gap = self.gap_of(current)
-        if gap - self.gap_of(trial) >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
+        """Whether a trial shrinks the gap enough for a name, or that of most windows: a few may be another's work.
+
+        What most windows gain must outweigh, as a factor, what those few lose.
+        """
+        gap, left = self.gap_of(current), self.gap_of(trial)
+        if gap - left >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
             return True
-        usual = self._usual_gap(current)
-        return usual - self._usual_gap(trial) >= max(WORTH * usual, FLOOR_ERROR)
+        usual, usual_left = self._usual_gap(current), self._usual_gap(trial)
+        return usual - usual_left >= max(WORTH * usual, FLOOR_ERROR) and left * usual_left < gap * usual
 
     def _carried(
         self, base: Trial, trial: Trial, accepted: list[Accepted], first_gap: float
