@@ -134,6 +134,7 @@ def gap_report(model, verdict, *, seed=3):
         residual_force=_force(rng, worst) if verdict == "unexplained" else None,
         held_out_episodes=["1", "4", "walk & turn"],
         sensor_noise={f"{kind} {j}": 1e-3 * (1 + i) for kind in ("qpos", "qvel") for i, j in enumerate(joints)},
+        encoder_error={},
         control_dt=0.02,
         seconds=12.34,
         simulated_steps=12_345_678,

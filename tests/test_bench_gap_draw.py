@@ -177,11 +177,11 @@ def test_a_key_is_read_back_and_nobody_else_may_enter_its_folder(system, tmp_pat
     assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o700
 
 
-def runs_of(noise_level, faults, n=2):
-    """Recordings of the double pendulum, and the plant that made them."""
-    robot, rng = ROBOTS["pendulum2"], np.random.default_rng(5)
+def runs_of(noise_level, faults, n=2, name="pendulum2"):
+    """Recordings of a robot, the double pendulum unless told, and the plant that made them."""
+    robot, rng = ROBOTS[name], np.random.default_rng(5)
     plant = Plant(robot.path.read_text(), robot.control_dt, faults=faults)
-    noise = Noise(np.full(2, noise_level), np.full(2, 10 * noise_level))
+    noise = Noise(np.full(plant.model.nv, noise_level), np.full(plant.model.nv, 10 * noise_level))
     bounds = plant.model.actuator_ctrlrange
     runs = []
     for i in range(n):
@@ -195,6 +195,19 @@ def test_the_true_robot_predicts_itself():
     plant, runs = runs_of(0.0, [Hidden("actuation_delay", "all", {"delay": 0.017}).build()])
     at = sizes.windows(runs, 20, np.random.default_rng(0))
     assert np.abs(sizes.predict(plant, at, sizes.from_moment, clean=False)).max() < 1e-12
+
+
+def test_what_no_motion_shows_has_no_size():
+    """The zero of an upright axis is a convention: beside play as well, whose rotor turns with the zero."""
+    hidden = [Hidden("backlash", "yaw_motor", {"width": 0.02}), Hidden("joint_offset", "yaw", {"offset": 0.08})]
+    _, runs = runs_of(0.0, [h.build() for h in hidden], name="arm3")
+    at = sizes.windows(runs, 40, np.random.default_rng(0))
+    arm, traces = ROBOTS["arm3"], list[float]()
+    for i, other in enumerate(reversed(hidden)):
+        lacking = Plant(arm.path.read_text(), arm.control_dt, faults=[other.build()])
+        traces.append(float(np.abs(sizes.predict(lacking, at, sizes.without(i), clean=True)).max()))
+    assert traces[0] > 1e-2
+    assert traces[1] < 1e-8  # rounding, magnified by stiff teeth
 
 
 def test_the_floor_holds_the_noise_of_start_and_end():

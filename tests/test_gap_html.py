@@ -113,6 +113,14 @@ def test_page_tells_every_number(robots):
         assert line in text
 
 
+def test_page_says_what_was_taken_out_of_the_recordings(robots):
+    """What an encoder at rest errs by has the unit of its joint; where nothing was taken out, nothing is said."""
+    report = gap_report(robots["arm"], "effects")
+    assert "reads too high" not in Page(page(report)).text
+    text = Page(page(replace(report, encoder_error={"elbow": -0.0123}))).text
+    assert "joint at restreads too high byelbow-0.0123 rad" in text
+
+
 def test_unexplained_gap_shows_the_force_left_over(robots):
     """A dot and an error bar for each window against each of three quantities, and no headline of a cause."""
     report = gap_report(robots["humanoid"], "unexplained")

@@ -61,5 +61,9 @@ def test_the_error_of_an_encoder_at_rest_is_found():
 
 def test_an_encoder_at_rest_is_no_fault():
     """Without a fault none is named, though the same floor a quarter of a millimetre higher would explain a lot."""
-    data, _ = read_coarsely(pushes(0.5, noise=0.0))
-    assert diagnose_gap(mujoco.MjModel.from_xml_string(BLOCK), data).verdict == "no_gap"
+    data, wrong = read_coarsely(pushes(0.5, noise=0.0))
+    found = diagnose_gap(mujoco.MjModel.from_xml_string(BLOCK), data)
+    assert found.verdict == "no_gap"
+    assert found.encoder_error == {"up": pytest.approx(wrong, abs=0.05 * GRAIN)}
+    reads = f"{abs(found.encoder_error['up']):.2g} m too {'high' if wrong > 0 else 'low'}"
+    assert any(f"While it rests, up reads {reads}" in line for line in found.summary)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.effects import LINEAR, Effect, slides
+from nfpde.elements import element_names
 from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
@@ -50,6 +52,7 @@ class Outcome:
     accepted: effects in the order of their acceptance, which is their order in `final`
     sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
     computed: joints whose speeds were computed from their positions, in words
+    error: by how much joints at rest read too high (nv,); the recordings are without it
     """
 
     dataset: Dataset
@@ -61,7 +64,8 @@ class Outcome:
     sigma: Array
     typical: Array
     seed: int
-    computed: str = ""
+    computed: str
+    error: Array
 
     @property
     def recordings(self) -> Recordings:
@@ -170,6 +174,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     ranking = sorted(tried, key=lambda c: -c.shrink)
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
+    reads = _reads(model, outcome.error)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
     parameters = _fitted(final.fit, slice(0, len(names)), names)
     apart, ahead = outcome.distance(), recordings.horizons[-1] * outcome.dataset.control_dt
@@ -196,12 +201,14 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
             ahead,
             ranking[0] if ranking else None,
             outcome.computed,
+            reads,
         ),
         gap_map=found,
         traces=_traces(outcome),
         residual_force=force,
         held_out_episodes=recordings.held_out,
         sensor_noise=dict(zip(final.fit.replay.sim.states.channels, outcome.sigma.tolist(), strict=True)),
+        encoder_error=dict(zip(reads, outcome.error[outcome.error != 0].tolist(), strict=True)),
         control_dt=outcome.dataset.control_dt,
         seconds=seconds,
         simulated_steps=selection.steps,
@@ -238,6 +245,16 @@ def _causes(outcome: Outcome) -> list[Cause]:
         others = [Rival(*key(e)) for e in rivals]
         out.append(replace(cause, indistinguishable=others, separating_experiment=text))
     return sorted(out, key=lambda c: -c.shrink)
+
+
+def _reads(model: mujoco.MjModel, error: Array) -> dict[str, str]:
+    """What joints at rest read too high or too low (nv,), in words, by their names."""
+    names, said = element_names(model, "joint"), dict[str, str]()
+    for dof in np.flatnonzero(error):
+        joint = int(model.dof_jntid[dof])
+        unit = "m" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+        said[names[joint]] = f"{abs(error[dof]):.2g} {unit} too {'high' if error[dof] > 0 else 'low'}"
+    return said
 
 
 def _called(effect: Effect) -> str:

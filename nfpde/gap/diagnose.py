@@ -99,7 +99,9 @@ def diagnose_gap(
     draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
     near = shown if found.near is stage else found.near
-    outcome = Outcome(dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed)
+    outcome = Outcome(
+        dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error
+    )
     return answer(outcome, time.monotonic() - begin)
 
 

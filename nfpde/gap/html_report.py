@@ -62,8 +62,8 @@ def page(report: GapReport) -> str:
         ("Where and when: joint by regime", gap_map(report)),
         ("The worst held-out windows, before and after", traces(report)),
     ]
-    if report.residual_force is not None:
-        below.insert(0, ("The force that is left over", residual_force(report.residual_force, _unit(report))))
+    if (force := report.residual_force) is not None:
+        below.insert(0, ("The force that is left over", residual_force(force, _unit(report.model, force.joint))))
     rest = "".join(f"<section><h2>{title}</h2>{body}</section>" for title, body in below)
     lines = "".join(f"<li>{text(line)}</li>" for line in report.summary)
     return (
@@ -93,13 +93,12 @@ def headline(report: GapReport) -> str:
     return f"A gap remains{place}{found} that no effect in the library explains."
 
 
-def _unit(report: GapReport) -> str:
-    """Unit of the position of the joint on which a force is left over."""
-    names = element_names(report.model, "joint")
-    force = report.residual_force
-    if force is None or force.joint not in names:
+def _unit(model: mujoco.MjModel, joint: str) -> str:
+    """Unit of a joint's position."""
+    names = element_names(model, "joint")
+    if joint not in names:
         return "rad or m"
-    kind = int(report.model.jnt_type[names.index(force.joint)])
+    kind = int(model.jnt_type[names.index(joint)])
     return {int(mujoco.mjtJoint.mjJNT_SLIDE): "m", int(mujoco.mjtJoint.mjJNT_FREE): "m or rad"}.get(kind, "rad")
 
 
@@ -115,9 +114,12 @@ def _noise(report: GapReport) -> str:
         return "<p>No sensor noise was estimated.</p>"
     rows = [[text(name), number(value)] for name, value in report.sensor_noise.items()]
     body = table(["channel", "standard deviation"], rows)
-    if len(rows) <= 12:
+    if len(rows) > 12:
+        body = f"<details><summary>{len(rows)} channels</summary>{body}</details>"
+    if not report.encoder_error:
         return body
-    return f"<details><summary>{len(rows)} channels</summary>{body}</details>"
+    rows = [[text(j), f"{number(error)} {_unit(report.model, j)}"] for j, error in report.encoder_error.items()]
+    return body + table(["joint at rest", "reads too high by"], rows)
 
 
 def _facts(report: GapReport) -> str:

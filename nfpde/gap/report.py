@@ -190,6 +190,8 @@ class GapReport:
         summary: Plain words.
         held_out_episodes: Names of the episodes that no fit saw.
         sensor_noise: Standard deviation of the noise found on each channel, by channel.
+        encoder_error: By how much joints that rest at one reading read too high, by joint [rad or m]; it was taken out
+            of the recordings first.
         device: What simulated, for people.
         model: The nominal model.
     """
@@ -209,6 +211,7 @@ class GapReport:
     residual_force: ResidualForce | None
     held_out_episodes: Sequence[str]
     sensor_noise: Mapping[str, float]
+    encoder_error: Mapping[str, float]
     control_dt: float
     seconds: float
     simulated_steps: int
@@ -236,6 +239,7 @@ class GapReport:
             "summary": list(self.summary),
             "residual_force": None if force is None else {"joint": force.joint, "share": force.share},
             "sensor_noise": dict(self.sensor_noise),
+            "encoder_error": dict(self.encoder_error),
             "held_out_episodes": [_number(name) for name in self.held_out_episodes],
             "candidates": self.candidates,
             "seed": self.seed,

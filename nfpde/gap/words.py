@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
 
@@ -36,11 +36,12 @@ def summary(
     ahead: float,
     closest: Cause | None = None,
     computed: str = "",
+    encoders: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on.
 
     `closest` is the effect that would shrink the gap most, proven or not; `computed` names the joints whose velocities
-    nobody measured.
+    nobody measured; `encoders` says of joints at rest how they read, as in "0.002 rad too high".
     """
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
@@ -87,6 +88,11 @@ def summary(
             "happens within a control step, and that counts as gap here. Record velocities, or positions at a higher "
             "rate."
         )
+    lines += [
+        f"While it rests, {joint} reads {error}, within half a step of its encoder: that was taken out of the "
+        "recordings first."
+        for joint, error in (encoders or {}).items()
+    ]
     return lines
 
 

@@ -96,12 +96,19 @@ def from_clean_moment(plant: Plant, run: Run, row: int, k: int) -> None:
 
 
 def without(number: int) -> Start:
-    """Start from the true moment, of all faults but one, with the reading for a state."""
+    """Start from the true moment, of all faults but one, with the reading for a state.
+
+    What the other faults remember moves along: a rotor behind play stays where it was in the play.
+    """
 
     def start(plant: Plant, run: Run, row: int, k: int) -> None:
-        plant.load(run.moments[k].without(number))
-        if not any(fault.distorts for fault in plant.faults):
-            plant.data.qpos[:], plant.data.qvel[:] = run.clean_qpos[row], run.clean_qvel[row]
+        moment = run.moments[k].without(number)
+        if any(fault.distorts for fault in plant.faults):
+            plant.load(moment)
+            return
+        dq = np.zeros(plant.model.nv)
+        mujoco.mj_differentiatePos(plant.model, dq, 1.0, moment.qpos, run.clean_qpos[row])
+        plant.load(moment, dq, run.clean_qvel[row] - moment.qvel)
 
     return start
 
