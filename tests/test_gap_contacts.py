@@ -12,7 +12,7 @@ from nfpde.gap.chart import Chart
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.stage import first_fit
+from nfpde.gap.stage import first_fit, in_noise
 from nfpde.parameters import Parameter, ParameterSpace
 
 BALL = """
@@ -212,3 +212,17 @@ def test_what_happens_at_the_beginning_alone_is_seen():
     assert (report.verdict, [c.effect for c in report.effects]) == ("effects", ["ground_friction"])
     assert report.effects[0].parameters["sliding"].value == pytest.approx(0.25, abs=0.01)
     assert diagnose_gap(nominal, shots(0.5)).verdict == "no_gap"
+
+
+def test_parameters_are_fitted_to_the_end_before_anything_is_blamed():
+    """Without noise mass and friction are exact, and leave less than the floor: no candidate finishes their work."""
+    recordings = brief(cut_recordings(pushes(0.3, noise=0.0), 0, 0, 120))[0]
+    mass, friction = (
+        Parameter("body_mass", "block", low=0.3, high=4.0),
+        Parameter("geom_friction", "*", low=0.1, high=1.0),
+    )
+    start = Replay(mujoco.MjModel.from_xml_string(BLOCK), ParameterSpace([mass, friction]), [])
+    base, court = first_fit(start, recordings, np.array([[3.0, 0.9], [2.15, 0.55]]), capped=True)
+    stage = in_noise(base, court, recordings, 0)
+    assert stage.base.fit.xi == pytest.approx([1.0, 0.3], rel=1e-6)
+    assert stage.yardstick.gap(stage.base.held).mean() < stage.yardstick.floor.mean()

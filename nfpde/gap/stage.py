@@ -142,7 +142,8 @@ def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int, known
     floor, precision = floor_of(found.residuals, moved), precision_of(moved)
     quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
-    found = fitter.linearise(court.settle(fitter.rescale(found, court.scatter(found))))
+    # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
+    found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
     base = court.judge(None, found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
     yardstick = Yardstick.of(held / other.scale, base.held, court.capped, precision)
