@@ -264,3 +264,49 @@ def test_most_of_a_gap_explained_is_explained():
     assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, 1.0, named=True) == "effects"
     assert _verdict(Level(1.0, 0.9, 0.05, 0.001), 50.0, 1.0, named=True, sound=False) == "unexplained"
     assert _verdict(Level(1.0, 0.9, 0.2, 0.001), 50.0, 1.0, named=True) == "unexplained"
+
+
+SLED = """
+<mujoco><option timestep="0.005" integrator="implicitfast"/>
+<worldbody><geom type="plane" size="5 5 1" pos="0 0 {floor}" friction=".3"/>
+  <body name="sled" pos="0 0 .101"><joint name="along" type="slide" axis="1 0 0"/>
+    <joint name="up" type="slide" axis="0 0 1"/><geom type="box" size=".2 .2 .1" mass="1" friction=".3"/></body>
+</worldbody>
+<actuator><motor name="push" joint="along" gear="5"/></actuator></mujoco>
+"""
+
+
+def sled(floor=0.0):
+    return mujoco.MjModel.from_xml_string(SLED.format(floor=floor))
+
+
+def slide(model, up=1.0, rows=200, episodes=4):
+    """A sled driven by sines at rising rates; `up` multiplies what is written down of its height."""
+    out = []
+    for number in range(episodes):
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 200)
+        turn = 2 * np.pi * (0.6 + 0.3 * number) * 0.01 * np.arange(rows)
+        ctrl = np.sin(np.outer(turn, np.arange(1, model.nu + 1)))
+        qpos, qvel = np.empty((rows, 2)), np.empty((rows, 2))
+        for row in range(rows):
+            qpos[row], qvel[row], data.ctrl[:] = data.qpos * [1, up], data.qvel * [1, up], ctrl[row]
+            mujoco.mj_step(model, data, 2)
+        out.append(Episode(str(number), 0.01 * np.arange(rows), qpos, qvel, ctrl))
+    return Dataset(out)
+
+
+def test_a_joint_that_rests_beside_its_zero_is_no_flipped_sign():
+    """On a floor 2 mm too high a sled lies 1 mm above its zero; turned round it lies on the model's, as 2 mm lower."""
+    recorded = slide(sled(0.002))
+    assert min(e.qpos[:, 1].min() for e in recorded) > 0
+    checked(sled(), recorded)
+
+
+def test_a_sled_that_hops_upside_down_has_a_flipped_sign():
+    """No other zero makes up for heights with the wrong sign where the sled leaves its floor."""
+    hopping = SLED.replace('gear="5"/>', 'gear="5"/><motor name="hop" joint="up" gear="20"/>')
+    model = mujoco.MjModel.from_xml_string(hopping.format(floor=0.0))
+    checked(model, slide(model))
+    with pytest.raises(BadDataset, match="up's sign looks flipped"):
+        checked(model, slide(model, up=-1.0))

@@ -11,7 +11,15 @@ from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
 from nfpde.gap.frames import check_frames
-from nfpde.gap.mistakes import Joint, flips_and_swaps, in_degrees, in_other_units, joints_of, with_commands
+from nfpde.gap.mistakes import (
+    Joint,
+    flips_and_swaps,
+    in_degrees,
+    in_other_units,
+    joints_of,
+    with_commands,
+    with_other_zeros,
+)
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
 from nfpde.gap.readings import CURED, Readings, check_columns, differenced
@@ -20,6 +28,8 @@ from nfpde.gap.replay import Replay
 from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
+Trial = tuple[float, str, Windows]
+"""Error of the nominal model with a mistake undone, the mistake in words, and the windows without it."""
 
 _WINDOWS = 60
 _DIVERGED = 1e6
@@ -83,7 +93,7 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     _check_encoders(replay, dataset, xi)
     error = _error(replay, xi, windows)
     if error >= _DIVERGED:
-        _refuse_best(model, _degrees(replay, xi, windows, joints, error), error, CURED)
+        _refuse_best(replay, xi, windows, _degrees(replay, xi, windows, joints, error), error, CURED)
         raise SimulationDiverged(
             "the nominal model's simulation diverges from most recorded states within "
             f"{windows.horizon * windows.control_dt:.3g} s, so it predicts nothing: halve its timestep "
@@ -94,40 +104,50 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     check_commands(replay, dataset, xi)
     if error < _FITS:
         return
-    trials = [(_error(replay, xi, changed), text) for text, changed in flips_and_swaps(windows, joints)]
-    trials += _units(replay, xi, windows, error)
-    _refuse_best(model, [*trials, *_degrees(replay, xi, windows, joints, error)], error, CURED * error)
+    trials = _tried(replay, xi, flips_and_swaps(windows, joints)) + _units(replay, xi, windows, error)
+    trials += _degrees(replay, xi, windows, joints, error)
+    _refuse_best(replay, xi, windows, trials, error, CURED * error)
 
 
-def _refuse_best(model: mujoco.MjModel, trials: list[tuple[float, str]], error: float, below: float) -> None:
-    """Refuse what comes nearest to the model after a change, where that brings the error below a bound."""
-    if trials and min(trials)[0] < below:
-        best, text = min(trials)
-        raise BadDataset(
-            f"the recordings do not fit the model: {text} (the nominal model's error is {error:.2g} times the motion "
-            f"as recorded, {best:.2g} times so changed). Correct the recordings or the model; the model has the joints "
-            f"{', '.join(element_names(model, 'joint'))}"
-        )
+def _tried(replay: Replay, xi: Array, mistakes: list[tuple[str, Windows]]) -> list[Trial]:
+    return [(_error(replay, xi, changed), text, changed) for text, changed in mistakes]
 
 
-def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], error: float) -> list[tuple[float, str]]:
+def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[Trial], error: float, below: float) -> None:
+    """Refuse what comes nearest to the model after a change, where that brings the error below a bound.
+
+    What another zero of the same columns does as well is no mistake in writing: a joint that rests beside its zero, and
+    its reading with the other sign, differ by a constant, which may be an encoder's offset or where the floor lies.
+    """
+    for best, text, changed in sorted(trials, key=lambda trial: trial[:2]):
+        if best >= below:
+            return
+        if best < CURED * _error(replay, xi, with_other_zeros(windows, changed)):
+            raise BadDataset(
+                f"the recordings do not fit the model: {text} (the nominal model's error is {error:.2g} times the "
+                f"motion as recorded, {best:.2g} times so changed). Correct the recordings or the model; the model has "
+                f"the joints {', '.join(element_names(replay.sim.model, 'joint'))}"
+            )
+
+
+def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], error: float) -> list[Trial]:
     """Errors with every hinge in degrees, with each alone, and with those together that are better off alone."""
     hinges = [j for j in joints if j.turns]
     if not hinges:
         return []
-    single = [[(_error(replay, xi, w), text) for text, w in in_degrees(windows, [j])] for j in hinges]
-    better = [j for j, tried in zip(hinges, single, strict=True) if min(tried)[0] < error]
+    single = [_tried(replay, xi, in_degrees(windows, [j])) for j in hinges]
+    better = [j for j, tried in zip(hinges, single, strict=True) if min(t[0] for t in tried) < error]
     groups = [g for g in (hinges, better) if len(g) > 1]
-    together = [(_error(replay, xi, w), text) for g in groups for text, w in in_degrees(windows, g)]
+    together = [trial for g in groups for trial in _tried(replay, xi, in_degrees(windows, g))]
     return [*(trial for tried in single for trial in tried), *together]
 
 
-def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[tuple[float, str]]:
+def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[Trial]:
     """Errors with the commands in other units, where commands matter: one hundredth is next to none."""
-    tried = [(_error(replay, xi, w), text) for text, w in in_other_units(windows)] if windows.nu else []
-    if not tried or min(tried)[0] >= CURED * error:
+    tried = _tried(replay, xi, in_other_units(windows)) if windows.nu else []
+    if not tried or min(t[0] for t in tried) >= CURED * error:
         return []
-    return tried if min(tried)[0] < CURED * _error(replay, xi, with_commands(windows, 0.0)) else []
+    return tried if min(t[0] for t in tried) < CURED * _error(replay, xi, with_commands(windows, 0.0)) else []
 
 
 def _check_encoders(replay: Replay, dataset: Dataset, xi: Array) -> None:

@@ -104,6 +104,14 @@ def in_degrees(windows: Windows, joints: Sequence[Joint]) -> list[tuple[str, Win
     return out
 
 
+def with_other_zeros(windows: Windows, changed: Windows) -> Windows:
+    """The windows with positions and commands shifted by what a change makes of them in the mean, and no more."""
+    shift = (changed.state - windows.state).mean((0, 1))
+    shift[windows.nq :] = 0.0
+    push = (changed.ctrl - windows.ctrl).mean((0, 1))
+    return replace(windows, state=windows.state + shift, ctrl=windows.ctrl + push, history=windows.history + push)
+
+
 def _flipped(windows: Windows, joint: Joint, states: bool, commands: bool) -> Windows:
     """A joint's positions and speeds negated, its commands, or both."""
     sign_x, sign_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
