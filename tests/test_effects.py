@@ -137,6 +137,17 @@ def test_stribeck_is_coulomb_at_speed_and_where_both_levels_agree():
     np.testing.assert_array_equal(stribeck().predict([[0.25, 0.25, 0.5]], slow), expected)
 
 
+def test_stribeck_is_searched_for_where_friction_does_not_fall_towards_rest():
+    """Every coordinate is a friction that rises from motion to rest, within its bounds, and comes back as it was."""
+    friction = effect("stribeck_friction", "axle", coulomb=(0, 1), static=(0, 2), speed=(0.001, 10))
+    low, high = friction.straight_bounds()
+    values = friction.bent(np.random.default_rng(0).uniform(low, high, (200, 3)))
+    assert (values[:, 1] >= values[:, 0]).all()
+    assert ((values >= [0, 0, 0.001]) & (values <= [1, 2, 10])).all()
+    np.testing.assert_allclose(friction.bent(friction.straightened(values)), values, atol=1e-12)
+    np.testing.assert_array_equal(friction.bent(friction.straightened(np.array([0.3, 0.1, 0.5]))), [0.3, 0.3, 0.5])
+
+
 # Actuation delay
 
 

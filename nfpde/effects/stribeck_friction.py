@@ -48,6 +48,25 @@ class StribeckFriction(Effect):
         most, speed = self.parameters[1].high, self.parameters[2].high
         return np.array([[c * most, s * most, v * speed] for c, s in ((0.02, 0.06), (0.1, 0.2)) for v in (0.05, 0.3)])
 
+    def straightened(self, values: Array) -> Array:
+        """`coulomb`, the rise from it to `static`, and `speed`: what is searched for never falls towards rest.
+
+        A friction that vanishes at rest would stand in for noise of the speeds, which blurs the sign of slow ones.
+        """
+        coulomb, static, speed = (values[..., i] for i in range(3))
+        return np.stack([coulomb, np.maximum(static - coulomb, 0.0), speed], axis=-1)
+
+    def bent(self, coordinates: Array) -> Array:
+        """`static` at least as large as `coulomb`, and inside its bounds."""
+        coulomb, rise, speed = (coordinates[..., i] for i in range(3))
+        bounds = self.parameters[1]
+        return np.stack([coulomb, np.clip(coulomb + rise, bounds.low, bounds.high), speed], axis=-1)
+
+    def straight_bounds(self) -> tuple[Array, Array]:
+        """Those of the values, and a rise of up to the largest `static`."""
+        coulomb, static, speed = self.parameters
+        return np.array([coulomb.low, 0.0, speed.low]), np.array([coulomb.high, static.high, speed.high])
+
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Set the friction level that belongs to the current speed."""
         coulomb, static, speed = (values[:, i, None] for i in range(3))
