@@ -82,6 +82,46 @@ def test_an_effect_is_not_tried_beside_itself():
     assert selection._told_apart(current, accepted, 0, 1.0) == (current, accepted)
 
 
+class Asking(Selection):
+    """A selection of trials that say what gap they leave; no candidate is worth anything."""
+
+    rounds = 0
+
+    def gap_of(self, trial: Any):
+        return trial.left
+
+    def at_floor(self, trial: Any):
+        return trial.left < 1.5
+
+    def refitted(self, current, taken):
+        self.rounds += 1
+        return []
+
+    def _carried(self, base, trial, accepted, first_gap):
+        return trial, accepted
+
+    def _linear(self, trial: Any, *, fitted) -> Any:
+        return trial
+
+
+def test_what_is_left_is_asked_about_once():
+    """On longer windows only where nobody asked on the shorter ones, as nothing was left there but noise."""
+    selection = Asking(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    base: Any = SimpleNamespace(left=100.0)
+
+    def run(left, **more):
+        before: Any = SimpleNamespace(left=left), [SimpleNamespace(effect=None)]
+        selection.run(base, before, **more)
+        rounds, selection.rounds = selection.rounds, 0
+        return rounds
+
+    assert run(1.0) == 0  # noise: nothing to ask
+    assert run(4.0) == 1
+    assert run(4.0) == 0  # the same, on windows longer still
+    assert run(4.0, further=True) == 1
+    assert run(40.0) == 1  # much of the gap: asked again
+
+
 class Line:
     """A replay whose residuals are `start` and `slopes` times its parameters, the last of which is an effect's."""
 

@@ -16,7 +16,7 @@ from nfpde.gap.noise import learn_scatter
 from nfpde.gap.report import Level
 from nfpde.gap.screen import screen
 from nfpde.gap.search import Found, Search
-from nfpde.gap.select import Selection
+from nfpde.gap.select import FLOOR_ERROR, NEAR_FLOOR, Selection
 from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
 from tests.gap_systems import nominal, record
 
@@ -30,10 +30,11 @@ def trial(effect, density, residuals):
     return Trial(effect, fit, density, residuals, density)
 
 
-def selection(noise):
+def selection(noise, kind=Selection, **more):
     """A selection whose windows show nothing but this noise (N, nv, C) where a model is right."""
     court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0))
-    return Selection(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0))
+    yardstick = Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0)
+    return kind(ANYTHING, None, 1, court, [], yardstick=yardstick, **more)
 
 
 def test_likelihood_ratios_are_no_more_often_large_than_they_say():
@@ -70,6 +71,26 @@ def test_what_acts_in_few_blocks_is_named_where_it_closes_the_gap(blocks, left, 
     assert chosen.court.gain(trial(limit, gain, noise), base)[2] > LEVEL
     found = chosen.accept(base, [trial(limit, gain, np.where(acts, left, 1.0) * noise)], chosen.gap_of(base))
     assert (found is not None) is named
+
+
+class Touching(Selection):
+    """A selection where contacts are: no model makes more of noise than another."""
+
+    def at_floor(self, trial):
+        return self.gap_of(trial) < NEAR_FLOOR * float(self.yardstick.floor.mean()) + FLOOR_ERROR
+
+
+@pytest.mark.parametrize(("before", "left", "named"), [(4.0, 1.0, True), (4.0, 1.8, False), (1.8, 1.0, False)])
+def test_beside_contacts_a_rare_effect_must_close_what_is_beyond_the_floor(before, left, named):
+    """A floor is known to a factor there: what lies below that is not closed, nor is a tenth of a gap left over."""
+    noise = np.random.default_rng(23).choice([-1.0, 1.0], size=(40, 2, 4))
+    acts = np.isin(BLOCK, range(2))[:, None, None]
+    base = trial(None, np.zeros(40), np.where(acts, before, 1.0) * noise)
+    soft = effect("contact_softness", time_constant=(0.001, 0.1), damping_ratio=(0.1, 2.0))
+    better = trial(soft, np.where(acts.ravel(), 50.0, -0.01), np.where(acts, left, 1.0) * noise)
+    chosen = selection(noise, Touching, sigma=np.zeros(4))
+    assert chosen.at_floor(better)
+    assert (chosen.accept(base, [better], chosen.gap_of(base)) is not None) is named
 
 
 def test_an_effect_is_worth_a_name_beside_a_rare_one_that_is_much_larger():

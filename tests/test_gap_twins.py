@@ -101,6 +101,37 @@ BASE, MIMIC = trial(None, 100.0), trial(RUB, 10.0, 5.0)
 FIRST = [MIMIC, trial(SPRING, 20.0, 4.0), trial(MOTOR, 90.0, 1.0), trial(LOAD, 30.0, -3.0)]
 
 
+class Leading(Selection):
+    """A selection that takes the densest candidate, and knows which candidates do what another does."""
+
+    leads: dict[str, list[Trial]]
+    turns = 0
+
+    def twins(self, current, found: Any, trials, taken):
+        self.turns += 1
+        return [t for t in self.leads.get(found.effect.name, []) if t not in trials]
+
+    def accept(self, current, trials, first_gap):
+        best: Any = max(trials, key=lambda t: t.density.mean())
+        return best, Accepted(best.effect, best, (), tuple(trials))
+
+
+def test_what_does_the_same_is_looked_for_until_nothing_else_is_accepted():
+    """A cause that no screening saw is reached from one effect to the next; one that stays is asked about once."""
+    near, nearer, cause = trial(RUB, 9.0, 1.0), trial(SPRING, 3.0, 2.0), trial(MOTOR, 1.0, 3.0)
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    selection = Leading(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    selection.leads = {RUB.name: [nearer], SPRING.name: [cause, near]}
+    field, chosen = selection._beside_twins(BASE, selection.accept(BASE, [near], 100.0), [near], [], 100.0)
+    assert chosen[0] is cause
+    assert field == [cause, nearer, near]
+    selection.turns, selection.leads = 0, {MOTOR.name: [near, nearer]}
+    field, chosen = selection._beside_twins(BASE, selection.accept(BASE, [cause], 100.0), [cause], [], 100.0)
+    assert chosen[0] is cause
+    assert field == [cause, nearer, near]
+    assert selection.turns == 1
+
+
 def test_others_to_begin_with():
     """Those that removed half as much, surely; none where all is explained, unless by as many as may be."""
     selection = known({}, ranking=FIRST)

@@ -23,6 +23,7 @@ from nfpde.gap.trial import (
 )
 
 Array = NDArray[np.float64]
+Chosen = tuple[Trial, Accepted]
 
 MOST_EFFECTS = 3
 """Effects accepted at most."""
@@ -40,6 +41,9 @@ CLOSED = 0.9
 """Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
 else is at work."""
 
+TWIN_TURNS = 3
+"""Turns in which effects are looked for that do what the accepted one does, as long as each accepts another."""
+
 NOISE_SEED = 0
 """Of the draws of noise in which a gap may disappear."""
 
@@ -54,11 +58,13 @@ class Selection(Rounds):
     yardstick: measures the gap
     sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
     ranking: candidates of the first round
+    asked: whether candidates were last refitted beside what is accepted, and none was worth it
     """
 
     yardstick: Yardstick
     sigma: Array | None = None
     ranking: list[Trial] = field(default_factory=list)
+    asked: bool = False
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
@@ -81,18 +87,16 @@ class Selection(Rounds):
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
             if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self.at_floor(current)):
                 break
-            asked = earlier is not None and accepted and not further
-            if asked and self.gap_of(current) <= (1 - CLOSED) * first_gap:
+            known = self.asked and earlier is not None and accepted and not further
+            if known and self.gap_of(current) <= (1 - CLOSED) * first_gap:
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self.refitted(current, [a.effect for a in accepted])
             found = self.accept(current, trials, first_gap)
             # in smooth motion screening ranks what does the same alike anyway
             if found is not None and self.sigma is not None:
-                trials = trials + self.twins(current, found[0], trials, [a.effect for a in accepted])
-                trials.sort(key=lambda t: -float(t.density.mean()))
-                found = self.accept(current, trials, first_gap) or found
-            self.ranking = self.ranking or trials
+                trials, found = self._beside_twins(current, found, trials, accepted, first_gap)
+            self.ranking, self.asked = self.ranking or trials, found is None
             if found is None:
                 break
             current, new = found
@@ -108,6 +112,19 @@ class Selection(Rounds):
         if len(accepted) > 1:
             current, accepted = self._pruned(current, accepted, first_gap)
         return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
+
+    def _beside_twins(
+        self, current: Trial, found: Chosen, trials: list[Trial], accepted: list[Accepted], first_gap: float
+    ) -> tuple[list[Trial], Chosen]:
+        """Candidates with those that do what the accepted one does, and again those of what is accepted then."""
+        for _ in range(TWIN_TURNS):
+            before = key(found[1].effect)
+            more = self.twins(current, found[0], trials, [a.effect for a in accepted])
+            trials = sorted([*trials, *more], key=lambda t: -float(t.density.mean()))
+            found = self.accept(current, trials, first_gap) or found
+            if key(found[1].effect) == before:
+                break
+        return trials, found
 
     def _pruned(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Without effects that the others have made superfluous."""
@@ -223,7 +240,7 @@ class Selection(Rounds):
         self.count(smaller)
         return self.court.judge(None, settled)
 
-    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> tuple[Trial, Accepted] | None:
+    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self.gap_of(current)
         # what fits the noise better and leaves the gap explains nothing
@@ -264,7 +281,7 @@ class Selection(Rounds):
         """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
         if not self.at_floor(trial):
             return False
-        floor = 0.0 if self.sigma is not None else float(self.yardstick.floor.mean())
+        floor = float(self.yardstick.floor.mean())
         left = max(self.gap_of(trial) - floor, FLOOR_ERROR)
         return self.gap_of(current) - floor >= left / (1 - CLOSED)
 
