@@ -128,6 +128,10 @@ def test_a_local_minimum_is_told_from_ignorance():
     text = failed(content)["bound"]
     assert "error 20.00 x bound" in text
     assert "1 of 2 robots end in a local minimum" in text
+    assert "1 of 2 robots end more than 5 of their own standard deviations from the truth, with 100%" in text
+    content["trajectory"]["robots"]["std"] = [[0.09, 1e-3], [1e-3, 1e-3]]  # 0.4 is 4.4 of it
+    assert verdicts.astray(content) == []
+    assert "standard deviations from the truth" not in failed(content)["bound"]
     assert "small noise" not in failed(content)["whole"]
     content["bending"] = {"error": 0.25, "often": 0.5, "whole": [[0.03, 0.03]] * 2}
     text = failed(content)["whole"]

@@ -29,6 +29,9 @@ UNKNOWN = 0.5
 LOCAL = 2.0
 """A fit that leaves so many times the squared residual of the true parameters sits in a local minimum."""
 
+ASTRAY = 5.0
+"""A robot that is off by more than so many of its own standard deviations is not where it says it is."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -127,7 +130,7 @@ def judge(cell: dict[str, Any]) -> list[Verdict]:
 
 
 def reasons(cell: dict[str, Any]) -> list[str]:
-    """Where the error comes from: parameters that the recordings do not determine, and local minima."""
+    """Where the error comes from: parameters that recordings do not determine, local minima, and false certainty."""
     robots, names = cell["trajectory"]["robots"], cell["parameters"]
     error, width = _errors(cell), np.array(cell["width"])
     squares = (error * width) ** 2 + np.array(robots["std"]) ** 2
@@ -149,6 +152,13 @@ def reasons(cell: dict[str, Any]) -> list[str]:
             f"{len(stuck)} of {len(error)} robots end in a local minimum (more than {LOCAL:g} x the residual of the "
             f"truth), with {share:.0%} of the squared error"
         )
+    lost = astray(cell)
+    if lost:
+        share = squares[lost].sum() / total
+        found.append(
+            f"{len(lost)} of {len(error)} robots end more than {ASTRAY:g} of their own standard deviations from the "
+            f"truth, with {share:.0%} of the squared error: at another optimum, unnoticed"
+        )
     return found
 
 
@@ -159,6 +169,13 @@ def local_minima(cell: dict[str, Any]) -> list[int]:
     rounding = 1e-12
     pairs = zip(left["fitted"], left["true"], strict=True)
     return [e for e, (fitted, true) in enumerate(pairs) if fitted > LOCAL * true + rounding]
+
+
+def astray(cell: dict[str, Any]) -> list[int]:
+    """Robots whose error is far beyond what their own standard deviations allow."""
+    robots = cell["trajectory"]["robots"]
+    error = np.abs(np.array(robots["value"]) - np.array(robots["true"]))
+    return np.flatnonzero((error > ASTRAY * np.array(robots["std"])).any(1)).tolist()
 
 
 def _widths(cell: dict[str, Any], found: dict[str, float | None]) -> list[str]:
