@@ -28,7 +28,7 @@ from nfpde.gap.replay import Replay
 from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
-Trial = tuple[float, str, Windows]
+_Trial = tuple[float, str, Windows]
 """Error of the nominal model with a mistake undone, the mistake in words, and the windows without it."""
 
 _WINDOWS = 60
@@ -109,11 +109,11 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     _refuse_best(replay, xi, windows, trials, error, CURED * error)
 
 
-def _tried(replay: Replay, xi: Array, mistakes: list[tuple[str, Windows]]) -> list[Trial]:
+def _tried(replay: Replay, xi: Array, mistakes: list[tuple[str, Windows]]) -> list[_Trial]:
     return [(_error(replay, xi, changed), text, changed) for text, changed in mistakes]
 
 
-def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[Trial], error: float, below: float) -> None:
+def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[_Trial], error: float, below: float) -> None:
     """Refuse what comes nearest to the model after a change, where that brings the error below a bound.
 
     What another zero of the same columns does as well is no mistake in writing: a joint that rests beside its zero, and
@@ -130,7 +130,7 @@ def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[Trial
             )
 
 
-def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], error: float) -> list[Trial]:
+def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], error: float) -> list[_Trial]:
     """Errors with every hinge in degrees, with each alone, and with those together that are better off alone."""
     hinges = [j for j in joints if j.turns]
     if not hinges:
@@ -142,7 +142,7 @@ def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], e
     return [*(trial for tried in single for trial in tried), *together]
 
 
-def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[Trial]:
+def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[_Trial]:
     """Errors with the commands in other units, where commands matter: one hundredth is next to none."""
     tried = _tried(replay, xi, in_other_units(windows)) if windows.nu else []
     if not tried or min(t[0] for t in tried) >= CURED * error:

@@ -74,7 +74,7 @@ class Selection(Rounds):
         Args:
             base: The parameters fitted, without effects.
             earlier: What was found on shorter windows, or in more noise, to go on from.
-            further: Whether what it left has not been asked about.
+            further: Ask about what it left, though that was asked about before: in more noise, or of another beginning.
 
         Returns:
             The final trial and the accepted effects in the order of their acceptance. Without any, it is the base, or

@@ -30,7 +30,8 @@ LOCAL = 2.0
 """A fit that leaves so many times the squared residual of the true parameters sits in a local minimum."""
 
 ASTRAY = 5.0
-"""A robot that is off by more than so many of its own standard deviations is not where it says it is."""
+"""A robot that is off by more than so many of its own standard deviations is not where it says it is: of Gaussian
+errors one in 1.7 million is."""
 
 
 @dataclass(frozen=True)
@@ -145,20 +146,13 @@ def reasons(cell: dict[str, Any]) -> list[str]:
             blind = int((known[:, i] < UNKNOWN).sum())
             text = f"{share:.0%} of the squared error is {names[i]}'s"
             found.append(text + (f", which {blind} of {len(known)} episodes hardly tell" if blind else ""))
-    stuck = local_minima(cell)
-    if stuck:
-        share = squares[stuck].sum() / total
-        found.append(
-            f"{len(stuck)} of {len(error)} robots end in a local minimum (more than {LOCAL:g} x the residual of the "
-            f"truth), with {share:.0%} of the squared error"
-        )
-    lost = astray(cell)
-    if lost:
-        share = squares[lost].sum() / total
-        found.append(
-            f"{len(lost)} of {len(error)} robots end more than {ASTRAY:g} of their own standard deviations from the "
-            f"truth, with {share:.0%} of the squared error: at another optimum, unnoticed"
-        )
+    for some, where in (
+        (local_minima(cell), f"in a local minimum (more than {LOCAL:g} x the residual of the truth)"),
+        (astray(cell), f"more than {ASTRAY:g} of their own standard deviations from the truth"),
+    ):
+        if some:
+            share = squares[some].sum() / total
+            found.append(f"{len(some)} of {len(error)} robots end {where}, with {share:.0%} of the squared error")
     return found
 
 
