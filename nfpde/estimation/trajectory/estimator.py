@@ -1,9 +1,9 @@
-"""The episode-level estimator: one parameter vector per robot, noise learned from the data, then the population."""
+"""The episode-level estimator: one parameter vector per robot, noise learned from the data."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_po
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.scatter import learn_alike, learn_shared
+from nfpde.estimation.trajectory.settling import STILL, Linear, Linearised, farthest, settle
 from nfpde.estimation.trajectory.starts import start_slopes
 
 Array = NDArray[np.float64]
@@ -28,29 +29,12 @@ Array = NDArray[np.float64]
 BORROWING_ROUNDS = (1, 2, 3)
 """Rounds that also start from where other robots ended, at most: see `TrajectoryEstimator._borrow`."""
 
-STILL = 0.3
-"""Standard deviations of its posterior that a robot's parameters move in the last round, at most."""
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Where the windows were linearised for the noise, and what each tells of the next.
-
-    best: parameters of every robot, z                                     (G, D)
-    size: typical error of a state that was tried, in units                (ndiff,)
-    weights: of the windows                                                (N,)
-    errors: of the states from which they start, in units                  (N, ndiff)
-    """
-
-    best: Array
-    size: Array
-    weights: Array
-    errors: Array
-
 
 @dataclass
 class TrajectoryEstimator:
     """Local posteriors of all robots; `step` is one round: Levenberg-Marquardt, then a new residual covariance.
+
+    The last round holds the noise: see `settle`.
 
     Args:
         problem: windows sorted by robot.
@@ -63,6 +47,8 @@ class TrajectoryEstimator:
     seed: int
     iteration: int = 0
     converged: bool = False
+    learned: bool = False
+    settled: bool = False
     history: list[dict[str, float]] = field(default_factory=list)
     candidates: Candidates | None = None
 
@@ -84,35 +70,22 @@ class TrajectoryEstimator:
     @property
     def total(self) -> int:
         """Rounds at most."""
-        return self.config.rounds
+        return self.config.rounds + 1
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
-        return self.converged or self.iteration >= self.config.rounds
+        return self.settled
 
     def step(self) -> dict[str, float]:
         """One round for all robots; returns its figures, which are also added to `history`."""
         started = time.perf_counter()
-        if self.candidates is None:
-            self._first()
-        c = self.candidates
-        if c is None:  # pragma: unreachable, _first made them
-            raise RuntimeError("no candidates")
-        improve(self.problem, c, self.noise, self.config.steps)
-        if self.iteration in BORROWING_ROUNDS and self.robots > 1:
-            c = self._borrow(c)
-        # slopes to both sides are for those that are left
-        c = distinct(c)
-        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
-        c = self.candidates = distinct(c)
-        before, best = self.noise.log_scale, self._best()
-        moved, self.places = self._moved(c.z[best], c.information[best]), c.z[best]
-        self._learn_noise()
-        settled = abs(self.noise.log_scale - before) < 1e-2 and moved < STILL
+        if self.converged or self.iteration >= self.config.rounds:
+            self._settle()
+        else:
+            self._round()
         self.iteration += 1
-        self.converged = bool(settled and self.iteration > 1 + (self.robots > 1))
-        best, c = self._best(), self.candidates
+        best, c = self._best(), self._found()
         figures = {
             "loss": float(np.mean([np.mean(c.residuals[k] ** 2) for k in best])),
             "noise": float(np.exp(self.noise.log_scale)),
@@ -123,11 +96,41 @@ class TrajectoryEstimator:
         self.history.append({"iteration": self.iteration, **figures, "seconds": seconds})
         return self.history[-1]
 
+    def _round(self) -> None:
+        if self.candidates is None:
+            self._first()
+        c = self._found()
+        improve(self.problem, c, self.noise, self.config.steps)
+        if self.iteration in BORROWING_ROUNDS and self.robots > 1:
+            c = self._borrow(c)
+        # slopes to both sides are for those that are left
+        c = distinct(c)
+        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        c = self.candidates = distinct(c)
+        before, best = self.noise.log_scale, self._best()
+        moved, self.places = self._moved(c.z[best], c.information[best]), c.z[best]
+        self._learn_noise()
+        self.learned = bool(abs(self.noise.log_scale - before) < 1e-2)
+        self.converged = bool(self.learned and moved < STILL and self.iteration > (self.robots > 1))
+
+    def _settle(self) -> None:
+        """Hold the noise until parameters and starts agree, whatever the rounds before were going around between."""
+        c, linear, scatter = self._found(), self.linear, self.noise.scatter
+        if linear is None:
+            raise RuntimeError("no round has been made")
+        begin = replace(linear, best=c.z[self._best()])
+        found, still = settle(self.measured, begin, scatter, self.chains, self.config.steps)
+        self.converged = self.learned and still
+        at = self._linearise(found, scatter)
+        restart(self.problem, c, self.noise)
+        c = c.joined(at.places(found))
+        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        self.candidates = distinct(c)
+        self.settled = True
+
     def posteriors(self) -> list[LocalPosterior]:
         """The robots' posteriors under the learned noise, in the order of `problem.names`."""
-        c = self.candidates
-        if c is None:
-            raise RuntimeError("call step first")
+        c = self._found()
         for g, k in enumerate(self._best()):
             if not np.isfinite(c.residuals[k]).all(1).any():
                 raise SimulationDiverged(
@@ -174,10 +177,7 @@ class TrajectoryEstimator:
         return joined
 
     def _learn_noise(self) -> None:
-        c = self.candidates
-        if c is None:
-            return
-        p, best = self.measured, self._best()
+        c, p, best = self._found(), self.measured, self._best()
         fitted, z = self.robots * len(p.simulator.space), c.z[best]
         residuals = np.concatenate([c.residuals[k] for k in best])
         start = self.noise.scatter
@@ -188,26 +188,24 @@ class TrajectoryEstimator:
         self._linearise(Linear(z, found.left, found.weights, found.errors), found.scatter)
         restart(self.problem, c, self.noise)
 
-    def _linearise(self, linear: Linear, scatter: Scatter) -> None:
+    def _linearise(self, linear: Linear, scatter: Scatter) -> Linearised:
         """Start the windows where the smoother puts them, and linearise there."""
-        started = self.measured.started_from(linear.errors)
-        self.linear, self.slopes = linear, start_slopes(started, linear.best, linear.size)
-        # the residuals are those from the measured states again, were the ends linear in them
-        self.problem = started.grown_by(np.einsum("ncd,nd->nc", self.slopes, linear.errors))
-        self.noise = Noise.of(scatter, self.slopes, self.chains, linear.weights, self.problem.members)
+        at = Linearised.at(self.measured, linear, scatter, self.chains)
+        self.linear, self.slopes, self.problem, self.noise = linear, at.slopes, at.problem, at.noise
+        return at
 
     def _moved(self, places: Array, information: Array) -> float:
         """The most that a robot has moved since the round before, in its own standard deviations."""
-        if self.places is None:
-            return np.inf
-        step = places - self.places
-        return float(np.sqrt(np.einsum("gd,gde,ge->g", step, information, step).max()))
+        return np.inf if self.places is None else farthest(places - self.places, information)
+
+    def _found(self) -> Candidates:
+        if self.candidates is None:
+            raise RuntimeError("call step first")
+        return self.candidates
 
     def _best(self) -> NDArray[np.intp]:
         """Index of every robot's best candidate, (G,)."""
-        if self.candidates is None:
-            raise RuntimeError("call step first")
-        return self.candidates.best(self.robots)
+        return self._found().best(self.robots)
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next round depends on, as tensors and JSON."""
@@ -219,14 +217,14 @@ class TrajectoryEstimator:
             saved |= {"robot": c.robot, "z": c.z, "damping": c.damping, "places": self.places}
         tensors, layout = flatten_state("trajectory", saved)
         info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
-        info["borrowing_pays"] = self.borrowing_pays
+        info |= {name: getattr(self, name) for name in ("learned", "settled", "borrowing_pays")}
         return tensors, {**info, "trajectory": layout}
 
     def restore(self, tensors: dict[str, Tensor], info: dict[str, Any]) -> None:
         """Go on from a `state`; the candidates are simulated again."""
         saved = restore_state(info["trajectory"], tensors)
         self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
-        self.borrowing_pays = info["borrowing_pays"]
+        self.learned, self.settled, self.borrowing_pays = (info[k] for k in ("learned", "settled", "borrowing_pays"))
         scatter = Scatter(saved["sensor"], saved["process"], saved["degrees"], saved["scale"])
         self.noise = Noise.alike(scatter, self.problem.members)
         if "best" in saved:

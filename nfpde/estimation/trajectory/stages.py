@@ -41,7 +41,7 @@ class TwoStages:
     @property
     def total(self) -> int:
         """Rounds at most."""
-        return self.config.rounds + self.config.population_rounds
+        return self.alone.total + self.config.population_rounds
 
     @property
     def done(self) -> bool:
