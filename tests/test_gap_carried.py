@@ -93,6 +93,12 @@ class Asking(Selection):
     def at_floor(self, trial: Any):
         return trial.left < 1.5
 
+    def floor(self, trial: Any):
+        return 1.0
+
+    def gain_by_noise(self, trial: Any, current: Any):
+        return 0.0
+
     def refitted(self, current, taken):
         self.rounds += 1
         return []

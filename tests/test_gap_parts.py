@@ -330,18 +330,19 @@ def test_most_windows_must_gain_more_than_a_few_lose(few, named):
     ("size", "behind", "contacts", "equal"),
     [(1.02, 3.0, True, True), (1.02, 3.0, False, False), (1.8, 1e-4, True, False), (1.8, 1e-4, False, True)],
 )
-def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contacts, equal):
+def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contacts, equal, monkeypatch):
     """Who leaves as little as the best is its equal whatever the density says, who leaves much more is not."""
     rng = np.random.default_rng(12)
     noise = rng.normal(size=(40, 2, 4))
     noise /= np.sqrt((noise**2).mean())
+    monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: noise[None])
     one, other = (
         effect(n, "elbow", **q)
         for n, q in (("coulomb_friction", {"torque": (0, 1)}), ("armature", {"inertia": (0, 1)}))
     )
     density = rng.uniform(9, 11, 40)
     trials = [trial(one, density, noise), trial(other, density - behind - 1e-6 * rng.normal(size=40), size * noise)]
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
     selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
     found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)

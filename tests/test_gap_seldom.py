@@ -16,7 +16,7 @@ from nfpde.gap.noise import learn_scatter
 from nfpde.gap.report import Level
 from nfpde.gap.screen import screen
 from nfpde.gap.search import Found, Search
-from nfpde.gap.select import FLOOR_ERROR, NEAR_FLOOR, Selection
+from nfpde.gap.select import Selection
 from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
 from tests.gap_systems import nominal, record
 
@@ -76,8 +76,11 @@ def test_what_acts_in_few_blocks_is_named_where_it_closes_the_gap(blocks, left, 
 class Touching(Selection):
     """A selection where contacts are: no model makes more of noise than another."""
 
-    def at_floor(self, trial):
-        return self.gap_of(trial) < NEAR_FLOOR * float(self.yardstick.floor.mean()) + FLOOR_ERROR
+    def floor(self, trial):
+        return float(self.yardstick.floor.mean())
+
+    def gain_by_noise(self, trial, current):
+        return 0.0
 
 
 @pytest.mark.parametrize(("before", "left", "named"), [(4.0, 1.0, True), (4.0, 1.8, False), (1.8, 1.0, False)])

@@ -79,6 +79,12 @@ class Known(Selection):
     def at_floor(self, trial: Any):
         return trial.fit.left < 1.5
 
+    def floor(self, trial: Any):
+        return 1.0
+
+    def gain_by_noise(self, trial: Any, current: Any):
+        return 0.0
+
 
 def known(leads, **more):
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.accepted import Accepted, key, parameter_count
+from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.fit import Fit
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.rounds import Rounds
@@ -59,12 +60,14 @@ class Selection(Rounds):
     sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
     ranking: candidates of the first round
     asked: whether candidates were last refitted beside what is accepted, and none was worth it
+    by_noise: what noise alone gives to candidates, by what they are beside
     """
 
     yardstick: Yardstick
     sigma: Array | None = None
     ranking: list[Trial] = field(default_factory=list)
     asked: bool = False
+    by_noise: dict[Trial, NoiseAlone] = field(default_factory=dict)
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
@@ -85,7 +88,7 @@ class Selection(Rounds):
         if earlier is not None and earlier[1]:
             current, accepted = self._carried(base, *earlier, first_gap)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
-            if len(accepted) == MOST_EFFECTS or ((accepted or self.sigma is not None) and self.at_floor(current)):
+            if len(accepted) == MOST_EFFECTS or (self.at_floor(current) if accepted else self.in_noise(current)):
                 break
             known = self.asked and earlier is not None and accepted and not further
             if known and self.gap_of(current) <= (1 - CLOSED) * first_gap:
@@ -202,14 +205,23 @@ class Selection(Rounds):
 
     def at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
+        if self.sigma is None:
+            return self._gap(trial) < self.floor(trial) + FLOOR_ERROR
+        return self.gap_of(trial) < NEAR_FLOOR * self.floor(trial) + FLOOR_ERROR
+
+    def in_noise(self, base: Trial) -> bool:
+        """Whether noise beside contacts leaves as much as there is; in smooth motion a test finds what is below it."""
+        return self.sigma is not None and self.gap_of(base) < self.floor(base) + FLOOR_ERROR
+
+    def floor(self, trial: Trial) -> float:
+        """The gap that noise alone leaves."""
         floor = float(self.yardstick.floor.mean())
         if self.sigma is None:
-            return self._gap(trial) < floor + FLOOR_ERROR
+            return floor
         # a model that touches nothing knows nothing of what contacts make of noise
         held = self.court.held
         noise = noise_of(trial.fit, self.sigma, held, NOISE_SEED) / held.scale
-        floor = max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
-        return self.gap_of(trial) < NEAR_FLOOR * floor + FLOOR_ERROR
+        return max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
 
     def _gap(self, trial: Trial) -> float:
         return float(self.yardstick.gap(trial.held).mean())
@@ -247,6 +259,8 @@ class Selection(Rounds):
         worthy = [t for t in trials if self.shrinks(t, current, first_gap)]
         # each is tested at its share of the level: any that passes has been asked for
         gains = [(t, g) for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0]
+        if self.sigma is not None and gap * (1 - CLOSED) < self.floor(current):
+            gains = [(t, g) for t, g in gains if g * (1 - CLOSED) > self.gain_by_noise(t, current)]
         if not gains:
             return None
         best, gain = gains[0]
@@ -276,6 +290,16 @@ class Selection(Rounds):
         if p > level and likelihood_test(trial.foretold - current.foretold, self.court.block) <= level:
             p = 0.0 if self._closes(trial, current) else p
         return gain if p <= level else 0.0
+
+    def gain_by_noise(self, trial: Trial, current: Trial) -> float:
+        """What a trial gains by noise alone: a gap near the floor may be noise that was believed too small."""
+        if self.sigma is None:
+            return 0.0
+        if current not in self.by_noise:
+            self.by_noise[current] = NoiseAlone(self.court, current, self.sigma)
+        gain = self.by_noise[current].gain(trial)
+        self.count(trial.fit.replay, current.fit.replay)
+        return gain
 
     def _closes(self, trial: Trial, current: Trial) -> bool:
         """Whether a trial leaves no more than noise would of a gap that is far beyond it."""

@@ -1,0 +1,97 @@
+"""What a candidate gains where there is nothing but noise: a parametric bootstrap.
+
+Beside contacts noise does not average out. A foot that is measured too low presses, one that is measured as much too
+high does nothing: errors of the starts push on average, and a floor's height or softness that makes up for it foretells
+windows that no fit saw better than the right one does. How much that is worth is found by fitting the candidate to
+windows that the model without it has made, and the sensors' noise blurred (Efron, Tibshirani, An introduction to the
+bootstrap, 1993, chapter 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Windows
+from nfpde.gap.fit import Fit
+from nfpde.gap.noise import Scatter
+from nfpde.gap.replay import started_beside
+from nfpde.gap.trial import Court, Trial
+
+Array = NDArray[np.float64]
+
+DRAWS = 3
+"""Draws of the noise of all windows."""
+
+SHARES = (1.0, 0.3, 0.1, 0.01)
+"""Of what a candidate was fitted to be, from which it is fitted to noise."""
+
+
+class NoiseAlone:
+    """Windows as a model makes them, noise on their states, and what candidates gain there.
+
+    Args:
+        court: Fits and judges.
+        current: The model, without any of the candidates.
+        sigma: Noise of the sensors (2 nv,).
+        seed: Of the draws.
+    """
+
+    def __init__(self, court: Court, current: Trial, sigma: Array, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self._made: list[tuple[Court, Trial]] = []
+        self._gains: dict[Trial, float] = {}
+        for _ in range(DRAWS):
+            fitter, held = (
+                replace(half, windows=made_by(current.fit, half.windows, sigma, rng))
+                for half in (court.fitter, court.held)
+            )
+            there = replace(court, fitter=fitter, held=held)
+            self._made.append((there, _refitted(there, current, current.fit.scatter)))
+
+    def gain(self, trial: Trial) -> float:
+        """Held-out log density per window [nats] that a candidate gains, the most in any of the draws.
+
+        Args:
+            trial: The candidate beside the model, where both were fitted to the recordings.
+        """
+        if trial not in self._gains:
+            gains = [c.gain(_refitted(c, trial, base.fit.scatter), base)[0] for c, base in self._made]
+            self._gains[trial] = max(gains)
+        return self._gains[trial]
+
+
+def _refitted(court: Court, trial: Trial, scatter: Scatter) -> Trial:
+    """Fitted to a court's windows from where it was, or from between there and no effect."""
+    fit = court.fitter.start(trial.fit.replay, _between(trial), scatter)
+    return court.judge(trial.effect, court.converged(fit))
+
+
+def _between(trial: Trial) -> Array:
+    """Free parameters with the last effect as it is, and with less and less of it, (G, D)."""
+    xi, replay = trial.fit.xi, trial.fit.replay
+    if trial.effect is None:
+        return xi[None]
+    neutral = np.array([q.neutral for q in trial.effect.quantities])
+    if not np.isfinite(neutral).all():  # no value is half of no limit
+        return xi[None]
+    guesses = np.tile(xi, (len(SHARES), 1))
+    columns = replay.columns(len(replay.effects) - 1)
+    guesses[:, columns] = neutral + np.outer(SHARES, xi[columns] - neutral)
+    return guesses
+
+
+def made_by(fit: Fit, windows: Windows, sigma: Array, rng: np.random.Generator) -> Windows:
+    """The windows as a fitted model makes them from their starts, with noise of the sensors (2 nv,) on all states.
+
+    Those in which the model diverges stay as they were recorded.
+    """
+    there = fit.replay.predict(fit.xi[None], windows)[0]
+    sound = np.isfinite(there).all((1, 2))
+    noise = sigma * rng.normal(size=(*there.shape[:2], len(sigma)))
+    state = windows.state.copy()
+    state[sound, 1:] = fit.replay.sim.states.moved(there[sound], noise[sound])
+    shift = sigma * rng.normal(size=(len(windows), len(sigma)))
+    return started_beside(fit.replay.sim.model, replace(windows, state=state), shift)
