@@ -109,7 +109,7 @@ def test_it_ends_at_the_joint_least_squares_fit(seed):
 
 
 def test_no_robot_ends_less_likely_than_it_began():
-    """Nor than at any turn: a step of an impact throws the turns about."""
+    """Where a step of an impact throws the turns about, the likeliest is kept: most gain ten nats by it."""
 
     def bouncing(x, u, xi):
         return np.where(x > 0.5, 0.2 * x, x) + DT * xi * u

@@ -96,8 +96,8 @@ class Asking(Selection):
     def floor(self, trial: Any):
         return 1.0
 
-    def gain_by_noise(self, trial: Any, current: Any):
-        return 0.0
+    def given_by_noise(self, *of):
+        return False
 
     def refitted(self, current, taken):
         self.rounds += 1

@@ -79,8 +79,8 @@ class Touching(Selection):
     def floor(self, trial):
         return float(self.yardstick.floor.mean())
 
-    def gain_by_noise(self, trial, current):
-        return 0.0
+    def given_by_noise(self, *of):
+        return False
 
 
 @pytest.mark.parametrize(("before", "left", "named"), [(4.0, 1.0, True), (4.0, 1.8, False), (1.8, 1.0, False)])

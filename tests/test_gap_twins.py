@@ -82,8 +82,8 @@ class Known(Selection):
     def floor(self, trial: Any):
         return 1.0
 
-    def gain_by_noise(self, trial: Any, current: Any):
-        return 0.0
+    def given_by_noise(self, *of):
+        return False
 
 
 def known(leads, **more):

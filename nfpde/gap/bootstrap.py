@@ -40,27 +40,40 @@ class NoiseAlone:
     """
 
     def __init__(self, court: Court, current: Trial, sigma: Array, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
+        self._court, self._current, self._sigma = court, current, sigma
+        self._rng = np.random.default_rng(seed)
         self._made: list[tuple[Court, Trial]] = []
-        self._gains: dict[Trial, float] = {}
-        for _ in range(DRAWS):
+        self._gains: dict[tuple[Trial, int], float] = {}
+
+    def gives(self, trial: Trial, enough: float) -> bool:
+        """Whether a candidate gains as much held-out log density per window [nats] in any of the draws.
+
+        No further draw is fitted after one that does.
+
+        Args:
+            trial: The candidate beside the model, where both were fitted to the recordings.
+            enough: What it must gain.
+        """
+        return not all(self.gain(trial, draw) < enough for draw in range(DRAWS))
+
+    def gain(self, trial: Trial, draw: int) -> float:
+        """Held-out log density per window [nats] that a candidate gains in a draw of the noise."""
+        if (trial, draw) not in self._gains:
+            court, base = self._draw(draw)
+            self._gains[trial, draw] = court.gain(_refitted(court, trial, base.fit.scatter), base)[0]
+        return self._gains[trial, draw]
+
+    def _draw(self, draw: int) -> tuple[Court, Trial]:
+        """The court over windows of a draw, and the model fitted to them."""
+        court, current = self._court, self._current
+        while len(self._made) <= draw:
             fitter, held = (
-                replace(half, windows=made_by(current.fit, half.windows, sigma, rng))
+                replace(half, windows=made_by(current.fit, half.windows, self._sigma, self._rng))
                 for half in (court.fitter, court.held)
             )
             there = replace(court, fitter=fitter, held=held)
             self._made.append((there, _refitted(there, current, current.fit.scatter)))
-
-    def gain(self, trial: Trial) -> float:
-        """Held-out log density per window [nats] that a candidate gains, the most in any of the draws.
-
-        Args:
-            trial: The candidate beside the model, where both were fitted to the recordings.
-        """
-        if trial not in self._gains:
-            gains = [c.gain(_refitted(c, trial, base.fit.scatter), base)[0] for c, base in self._made]
-            self._gains[trial] = max(gains)
-        return self._gains[trial]
+        return self._made[draw]
 
 
 def _refitted(court: Court, trial: Trial, scatter: Scatter) -> Trial:

@@ -258,13 +258,18 @@ class Selection(Rounds):
         # what fits the noise better and leaves the gap explains nothing
         worthy = [t for t in trials if self.shrinks(t, current, first_gap)]
         # each is tested at its share of the level: any that passes has been asked for
-        gains = [(t, g) for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0]
-        if self.sigma is not None and gap * (1 - CLOSED) < self.floor(current):
-            gains = [(t, g) for t, g in gains if g * (1 - CLOSED) > self.gain_by_noise(t, current)]
-        if not gains:
+        gains = {t: g for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0}
+        doubted = self.sigma if gains and gap * (1 - CLOSED) < self.floor(current) else None
+
+        def stands(trial: Trial) -> bool:
+            if doubted is None:
+                return True
+            return not self.given_by_noise(trial, current, doubted, gains[trial] * (1 - CLOSED))
+
+        best = next(filter(stands, gains), None)
+        if best is None:
             return None
-        best, gain = gains[0]
-        sure = [trial for trial, _ in gains]
+        gain = gains[best]
         block, likelier = self.court.block, []
         if self.sigma is not None:  # what is likelier still may be worth more over longer windows
             likelier = [t for t in trials if t not in worthy and t.density.mean() > best.density.mean()]
@@ -276,7 +281,8 @@ class Selection(Rounds):
             if self._equal(gap, best, trial, apart > APART or trial in near):
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
-        chosen = min((t for t in near if t in sure), key=lambda t: (parameter_count(t), -t.density.mean()))
+        simplest = sorted((t for t in near if t in gains), key=lambda t: (parameter_count(t), -t.density.mean()))
+        chosen = next(t for t in simplest if t is best or stands(t))
         if chosen.effect is None:
             return None
         return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(beside))
@@ -291,15 +297,13 @@ class Selection(Rounds):
             p = 0.0 if self._closes(trial, current) else p
         return gain if p <= level else 0.0
 
-    def gain_by_noise(self, trial: Trial, current: Trial) -> float:
-        """What a trial gains by noise alone: a gap near the floor may be noise that was believed too small."""
-        if self.sigma is None:
-            return 0.0
+    def given_by_noise(self, trial: Trial, current: Trial, sigma: Array, gain: float) -> bool:
+        """Whether noise alone gives a trial as much: a gap near the floor may be noise that was believed too small."""
         if current not in self.by_noise:
-            self.by_noise[current] = NoiseAlone(self.court, current, self.sigma)
-        gain = self.by_noise[current].gain(trial)
+            self.by_noise[current] = NoiseAlone(self.court, current, sigma)
+        given = self.by_noise[current].gives(trial, gain)
         self.count(trial.fit.replay, current.fit.replay)
-        return gain
+        return given
 
     def _closes(self, trial: Trial, current: Trial) -> bool:
         """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
