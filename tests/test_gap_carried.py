@@ -96,7 +96,7 @@ class Asking(Selection):
     def floor(self, trial: Any):
         return 1.0
 
-    def given_by_noise(self, *of):
+    def given_by_noise(self, trial: Any, current: Any, sigma: Any, gain: Any):
         return False
 
     def refitted(self, current, taken):
@@ -181,6 +181,33 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     assert Stuck.smaller.sim.simulated_steps == 0
     if idle:
         assert found.xi == pytest.approx([0.3])
+
+
+class Settled(Selection):
+    """A selection that takes fits as they are."""
+
+    def _converged(self, fit):
+        return Trial(None, fit, np.zeros(50), fit.residuals, np.zeros(50))
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_what_does_nothing_on_longer_windows_is_not_carried_there(size):
+    """Beside it the parameters got unstuck: where they are right alone it goes, where it does something it stays."""
+    rng = np.random.default_rng(32)
+    one, other = rng.normal(size=(2, 50, 1, 2))
+    start = -0.3 * one - 0.7 * size * other + 1e-3 * rng.normal(size=one.shape)
+    scatter = learn_scatter(1e-3 * rng.normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
+    fitter = Fitter(ANYTHING, (1, 2))
+    alone, both = (Line(start, slopes, []) for slopes in ([one], [one, size * other]))
+    replays: list[Any] = [alone, both]
+    base, beside = (fitter.start(r, np.array([[0.3, 0.7][: r.nfree]]), scatter) for r in replays)
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    selection = Settled(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    first, found = selection._converged(base), selection._converged(beside)
+    accepted = [Accepted(ANYTHING, found, (), ())]
+    carried, kept = selection._carried(first, found, accepted, 1.0)
+    assert kept == (accepted if size else [])
+    assert (carried is first) is (not size)
 
 
 class Unstuck(Selection):

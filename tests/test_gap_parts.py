@@ -216,16 +216,16 @@ def test_windows_are_as_loud_as_their_noise():
     size = np.where(np.arange(400) % 4 == 0, 10.0, 1.0)[:, None, None]
     floor = np.full((2, 4), 1e-3)
     draws = size * rng.normal(size=(12, 400, 2, 4))
-    loud = loudness(draws, size * rng.normal(size=(400, 2, 4)), floor)
+    loud = loudness(draws, size * rng.normal(size=(400, 2, 4)), floor).size
     ratio = loud[::4].mean((0, 1, 2)) / loud[1::4].mean((0, 1, 2))
     assert ratio == pytest.approx(10.0, rel=0.15)  # drawn together by psi'(6) = 0.18 of a variance of logs of 4
-    alike = loudness(rng.normal(size=(12, 400, 2, 4)), rng.normal(size=(400, 2, 4)), floor)
+    alike = loudness(rng.normal(size=(12, 400, 2, 4)), rng.normal(size=(400, 2, 4)), floor).size
     assert alike == pytest.approx(1.0, abs=0.15)  # the draws alone would scatter by 0.2
     assert (alike**2).mean(0) == pytest.approx(1.0, rel=0.02)
     # noise below what is believed of a residual makes no difference
-    assert loudness(1e-5 * draws, size * rng.normal(size=(400, 2, 4)), floor) == pytest.approx(1.0, abs=1e-3)
+    assert loudness(1e-5 * draws, size * rng.normal(size=(400, 2, 4)), floor).size == pytest.approx(1.0, abs=1e-3)
     # residuals that do not follow the noise are not the noise's
-    assert loudness(draws, rng.normal(size=(400, 2, 4)), floor) == pytest.approx(1.0, abs=0.2)  # slope 0 +- 0.03
+    assert loudness(draws, rng.normal(size=(400, 2, 4)), floor).size == pytest.approx(1.0, abs=0.2)  # slope 0 +- 0.03
 
 
 def test_halves_show_the_gap_alike():

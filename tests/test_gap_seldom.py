@@ -79,7 +79,7 @@ class Touching(Selection):
     def floor(self, trial):
         return float(self.yardstick.floor.mean())
 
-    def given_by_noise(self, *of):
+    def given_by_noise(self, trial: Any, current: Any, sigma: Any, gain: Any):
         return False
 
 

@@ -82,7 +82,7 @@ class Known(Selection):
     def floor(self, trial: Any):
         return 1.0
 
-    def given_by_noise(self, *of):
+    def given_by_noise(self, trial: Any, current: Any, sigma: Any, gain: Any):
         return False
 
 

@@ -17,6 +17,7 @@ from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
 from nfpde.gap.levels import Yardstick, rare, shrink_interval
+from nfpde.gap.loud import noise_residuals
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
@@ -131,7 +132,8 @@ class Outcome:
         at = [(base.replay, nominal), (base.replay, base.xi[None]), (final.replay, final.xi[None])]
         ends = [replay.predict(xi, held)[0, :, -1] for replay, xi in at]
         count = len(self.recordings.horizons)
-        draw = self.yardstick.noise[0] * self.stage.court.held.scale
+        fitter = self.stage.court.held
+        draw = noise_residuals(final.replay, final.xi, held, fitter.horizons, self.sigma, self.seed)[0]
         noise = np.concatenate([draw[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
         return distance(base.replay.sim.states, held, ends, noise)
 

@@ -96,7 +96,7 @@ def diagnose_gap(
         final, accepted = selection.useful(stage.base, final, accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
-    draws = noise_of(final.fit, sigma, stage.court.held, seed) / stage.court.held.scale
+    draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
     shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
     near = shown if found.near is stage else found.near
     outcome = Outcome(

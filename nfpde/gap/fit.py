@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.gap.directions import Directions
+from nfpde.gap.loud import Loudness
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
 
@@ -82,21 +84,20 @@ class Fitter:
 
     windows: what is fitted
     horizons: where it is compared
-    loudness: what residuals are divided by (N, nv, C), see `loudness`; None: all windows are alike
+    noise: what residuals are quietened by, of these windows; None: all windows are alike
     """
 
     windows: Windows
     horizons: Sequence[int]
-    loudness: Array | None = None
+    noise: Loudness | Directions | None = None
 
     def some(self, index: NDArray[np.intp]) -> Fitter:
         """The same on some of the windows."""
-        return Fitter(self.windows[index], self.horizons, None if self.loudness is None else self.loudness[index])
+        return Fitter(self.windows[index], self.horizons, None if self.noise is None else self.noise.some(index))
 
-    @property
-    def scale(self) -> Array | float:
-        """What residuals are divided by."""
-        return 1.0 if self.loudness is None else self.loudness
+    def quieten(self, residuals: Array) -> Array:
+        """Residuals of these windows (..., N, nv, C) counted by how loud noise is in them."""
+        return residuals if self.noise is None else self.noise.quieten(residuals)
 
     def start(self, replay: Replay, guesses: Array, scatter: Scatter) -> Fit:
         """The best of several guesses (G, D), inside the bounds."""
@@ -239,7 +240,7 @@ class Fitter:
 
     def _residuals(self, replay: Replay, u: Array, force: Array | None = None) -> Array:
         xi = np.array([replay.outward(row) for row in u]).reshape(len(u), -1)
-        return replay.residuals(xi, self.windows, self.horizons, force) / self.scale
+        return self.quieten(replay.residuals(xi, self.windows, self.horizons, force))
 
 
 def _whiten_slopes(scatter: Scatter, slopes: Array) -> Array:

@@ -7,6 +7,7 @@ next. Counted alike, the loud windows drown what the quiet ones say.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,29 @@ Array = NDArray[np.float64]
 
 DRAWS = 12
 """Draws of the noise for every window."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loudness:
+    """Divides the residuals of each window by how loud noise is in it, channel by channel.
+
+    size: (N, nv, C)
+    """
+
+    size: Array
+
+    def quieten(self, residuals: Array) -> Array:
+        """Residuals (..., N, nv, C) in units of their loudness."""
+        return residuals / self.size
+
+    def some(self, index: NDArray[np.intp] | slice) -> Loudness:
+        """The same of some windows."""
+        return Loudness(self.size[index])
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of what densities change by, summed over windows [nats]."""
+        return float(-np.log(self.size).sum())
 
 
 def noise_residuals(
@@ -40,8 +64,8 @@ def noise_residuals(
     return np.array(found)
 
 
-def loudness(noise: Array, residuals: Array, floor: Array) -> Array:
-    """How loud windows are, relative to each other (N, nv, C): what their residuals are divided by.
+def loudness(noise: Array, residuals: Array, floor: Array) -> Loudness:
+    """How loud windows are, relative to each other.
 
     The logarithms of the variances of the noise are drawn together by as much as so few draws scatter, so that windows
     that are alike have loudness one. Then they are drawn together by as much as the residuals do not follow them: where
@@ -60,7 +84,7 @@ def loudness(noise: Array, residuals: Array, floor: Array) -> Array:
     # a sum of as many squares of a Gaussian has a logarithm that varies by this
     logs *= np.clip(1.0 - float(polygamma(1, len(noise) / 2)) / scatter, 0.0, 1.0)
     relative = np.exp(_followed(logs, residuals, floor)[:, None] * logs)
-    return np.sqrt(relative / relative.mean(0))
+    return Loudness(np.sqrt(relative / relative.mean(0)))
 
 
 def _variance(noise: Array) -> Array:

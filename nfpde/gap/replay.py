@@ -147,3 +147,28 @@ def started_beside(model: mujoco.MjModel, windows: Windows, shift: Array) -> Win
         mujoco.mj_integratePos(model, qpos, dq, 1.0)
     start[:, model.nq :] += shift[:, model.nv :]
     return replace(windows, state=np.concatenate([start[:, None], windows.state[:, 1:]], axis=1))
+
+
+def displaced(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[int], size: Array) -> Array:
+    """How predictions change where the start is measured wrong, one channel at a time, by so much to either side.
+
+    A contact opens one way and presses the other: one side does not tell what the other does.
+
+    Args:
+        replay: The model that predicts.
+        xi: Its free parameters (D,).
+        windows: Of recordings (N).
+        horizons: Control steps after which to look (h).
+        size: Of the error in each channel (2 nv,); none is simulated where it is zero.
+
+    Returns:
+        Changes (2, 2 nv, N, h, 2 nv), up first, by the channel in error; zero in windows that diverge.
+    """
+    steps, channels = np.array(horizons) - 1, len(size)
+    there = replay.predict(xi[None], windows)[0][:, steps]
+    change = np.zeros((2, channels, *there.shape[:2], channels))
+    for channel in np.flatnonzero(size > 0):
+        for side, sign in enumerate((1.0, -1.0)):
+            moved = started_beside(replay.sim.model, windows, sign * size * (np.arange(channels) == channel))
+            change[side, channel] = replay.sim.states.difference(replay.predict(xi[None], moved)[0][:, steps], there)
+    return np.nan_to_num(change, posinf=0.0, neginf=0.0)

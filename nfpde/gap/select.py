@@ -156,6 +156,8 @@ class Selection(Rounds):
         """What was found on shorter windows, fitted to these; what was equal there may be told apart here."""
         fit = self.court.fitter.start(trial.fit.replay, trial.fit.xi[None], base.fit.scatter)
         current = self._converged(fit)
+        if base.fit.cost - current.fit.cost < LEAST_GAIN:
+            return base, []  # the parameters had been stuck on the shorter ones, and do as well alone
         for asked in list(accepted):  # the one told apart stands last afterwards
             current, accepted = self._told_apart(current, accepted, accepted.index(asked), first_gap)
         return current, accepted
@@ -220,7 +222,7 @@ class Selection(Rounds):
             return floor
         # a model that touches nothing knows nothing of what contacts make of noise
         held = self.court.held
-        noise = noise_of(trial.fit, self.sigma, held, NOISE_SEED) / held.scale
+        noise = held.quieten(noise_of(trial.fit, self.sigma, held, NOISE_SEED))
         return max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
 
     def _gap(self, trial: Trial) -> float:

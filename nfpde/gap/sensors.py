@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from nfpde.dataset import Windows
 from nfpde.gap.grain import encoder_grain
-from nfpde.gap.replay import Replay, started_beside
+from nfpde.gap.replay import Replay, displaced
 
 Array = NDArray[np.float64]
 
 _MAD = 1.4826
 """Ratio of standard deviation to median absolute deviation of a Gaussian."""
 
-_ROWS = 300
-"""Rows at which it is found out how noise spreads within a step."""
+_ROWS, _VALUES = (60, 300), 5000
+"""Rows at which it is found out how noise spreads within a step, least and most: so many values of all channels."""
 
-_MOST, _MEAN = 4.0, 0.9205
-"""Squared ratios to the expected spread are capped, for contacts and jumps; mean of the square of a Gaussian so capped
-(chi-square with one degree of freedom)."""
+_TAILS = 4.0
+"""Degrees of freedom of the Student t that differences have: contacts and jumps make a few far too large."""
 
-_ROUNDS = 200
+_TURNS, _ROUNDS = 2, 60
+"""Times that slopes are taken anew at what was found, and updates each time."""
 
 
 def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
@@ -30,8 +31,9 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
     One-step residuals r(t) = e(t+1) - A e(t) + gap hold the noise e twice. The second difference
     r(t) - (r(t-1) + r(t+1)) / 2 removes a gap that lasts for a few steps. What noise spreads to in a step, A, is
     simulated at some rows: near one in free motion, near zero or far beyond one where contacts push. The noise is
-    what makes these differences likeliest, and at most what the third differences of the recordings themselves show;
-    yet at least that of the grain of an encoder: at rest it errs by the same in every row, and no difference shows it.
+    what makes all channels of these differences likeliest together, and at most what the third differences of the
+    recordings themselves show; yet at least that of the grain of an encoder: at rest it errs by the same in every row,
+    and no difference shows it.
 
     Args:
         replay: The model that predicts.
@@ -55,10 +57,13 @@ def _varying_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
     sound = np.isfinite(high).all(1)
     middle, high = middle[sound], high[sound]
     calm = _spread(high, rows.episode[middle]) / np.sqrt(5.0)
-    some = np.unique(np.linspace(0, len(middle) - 1, _ROWS).round().astype(int)) if len(middle) else np.zeros(0, int)
+    count = int(np.clip(_VALUES // r.shape[1], *_ROWS))
+    some = np.unique(np.linspace(0, len(middle) - 1, count).round().astype(int)) if len(middle) else np.zeros(0, int)
     if not len(some):
         return calm
-    found = _likeliest(high[some], _gains(replay, xi, rows, middle[some], calm), calm)
+    found = calm
+    for _ in range(_TURNS):
+        found = _likeliest(high[some], *_spreading(replay, xi, rows, middle[some], found), found)
     moved = states.difference(rows.target, rows.state[:, :1])[:, 0]
     third = moved[middle + 1] - 2 * moved[middle] + moved[middle - 1]
     return np.minimum(found, _spread(third, rows.episode[middle]) / np.sqrt(20.0))
@@ -74,33 +79,52 @@ def _spread(values: Array, episode: NDArray[np.intp]) -> Array:
     return np.sqrt(np.sum(variance, axis=0) / max(1, len(values))) * np.ones(values.shape[1])
 
 
-def _gains(replay: Replay, xi: Array, rows: Windows, middle: NDArray[np.intp], size: Array) -> Array:
-    """By how much the variance of each noise (last axis) adds to that of each second difference, (n, 2 nv, 2 nv)."""
-    count, channels = len(middle), len(size)
-    near = rows[np.concatenate([middle - 1, middle, middle + 1])]
-    there = replay.predict(xi[None], near)[0]
-    a = np.zeros((3 * count, channels, channels))
-    sign = (-1.0) ** np.arange(3 * count)[:, None]  # up and down: a contact opens one way and presses the other
-    for channel in np.flatnonzero(size > 0):
-        moved = started_beside(replay.sim.model, near, sign * size * (np.arange(channels) == channel))
-        apart = replay.sim.states.difference(replay.predict(xi[None], moved)[0], there)[:, 0]
-        a[..., channel] = np.nan_to_num(apart / (sign * size[channel]), posinf=0.0, neginf=0.0)
-    before, now, after = a.reshape(3, count, channels, channels)
-    one = np.eye(channels)
-    return 0.25 * before**2 + (now + 0.5 * one) ** 2 + (one + 0.5 * after) ** 2 + 0.25 * one
+def _spreading(replay: Replay, xi: Array, rows: Windows, middle: NDArray[np.intp], size: Array) -> tuple[Array, Array]:
+    """What noise of some size at four rows in succession adds to every second difference of residuals.
 
-
-def _likeliest(high: Array, gains: Array, start: Array) -> Array:
-    """Standard deviations of independent noises whose sums, weighted by `gains`, make `high` (n, C) likeliest.
-
-    Multiplicative updates towards the maximum of the Gaussian likelihood, squares far beyond the expected ones capped.
+    Returns:
+        Slopes by each noise (last axis), (4, n, 2 nv, 2 nv), and second moments of what bends, (n, 2 nv, 2 nv).
     """
-    variance, squares = start**2, high**2
-    seen = np.flatnonzero(variance > 0)
+    near = rows[np.concatenate([middle - 1, middle, middle + 1])]
+    up, down = displaced(replay, xi, near, (1,), size)[:, :, :, 0].reshape(2, len(size), 3, len(middle), len(size))
+    before, now, after = np.moveaxis((up - down) / (2 * np.where(size > 0, size, 1.0))[:, None, None, None], 0, -1)
+    one = np.eye(len(size))
+    slopes = np.stack([-0.5 * before, now + 0.5 * one, -one - 0.5 * after, np.broadcast_to(0.5 * one, now.shape)])
+    middling = 0.5 * (up + down)
+    bent = np.einsum("ktni,ktnj,t->nij", middling, middling, np.array([0.25, 1.0, 0.25]), optimize=True)
+    return slopes, bent
+
+
+def _likeliest(high: Array, slopes: Array, bent: Array, start: Array) -> Array:
+    """Standard deviations of independent noises (C,) that make differences (n, C) likeliest, directions and all.
+
+    Beside contacts a position's noise moves all speeds, and always in the same proportion: across that direction their
+    own noise is seen. Multiplicative updates towards the maximum of a Student t likelihood over variance components
+    (Zhou, Hu, Zhou, Lange, MM algorithms for variance components models, 2019), times the square root of each: what can
+    hardly be seen is no zero (Chung, Rabe-Hesketh, Dorie, Gelman, Liu, Psychometrika 2013).
+
+    Args:
+        high: The differences.
+        slopes: What noise adds to them in proportion, see `_spreading`.
+        bent: What it adds beyond that.
+        start: First guess; what is zero there stays zero.
+    """
+    seen = np.flatnonzero(start > 0)
+    if not len(seen):
+        return start
+    variance, parts = np.ones(len(seen)), slopes[:, :, seen[:, None], seen] * (start[seen] / start[seen][:, None])
+    differences, scale = high[:, seen] / start[seen], np.outer(start[seen], start[seen])
+    # Gaussian noise alone shall be found as it is
+    expected = chi2.ppf((np.arange(1000) + 0.5) / 1000, len(seen))
+    usual = len(seen) / float(np.mean(expected / (_TAILS + expected)))
+    fixed = bent[:, seen[:, None], seen] / scale + 1e-12 * np.eye(len(seen))
     for _ in range(_ROUNDS):
-        expected = np.maximum(gains @ variance, 1e-300)
-        ratio = np.minimum(squares / expected, _MOST) / _MEAN
-        up = np.einsum("nij,ni->j", gains, ratio / expected, optimize=True)
-        down = np.einsum("nij,ni->j", gains, 1.0 / expected, optimize=True)
-        variance[seen] *= np.sqrt(up[seen] / down[seen])
-    return np.sqrt(variance)
+        inverse = np.linalg.inv(np.einsum("knij,knlj->nil", parts * variance, parts, optimize=True) + fixed)
+        white = np.einsum("nil,nl->ni", inverse, differences)
+        weight = usual / (_TAILS + np.einsum("ni,ni->n", white, differences))
+        up = np.einsum("knij,ni->knj", parts, white, optimize=True) ** 2
+        down = np.einsum("knij,nil,knlj->j", parts, inverse, parts, optimize=True)
+        variance *= np.sqrt((np.einsum("knj,n->j", up, weight) + 1.0 / variance) / down)
+    found = np.zeros_like(start)
+    found[seen] = start[seen] * np.sqrt(variance)
+    return found

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.gap.directions import likeliest_directions, noise_covariance
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm
 from nfpde.gap.loud import loudness
@@ -120,7 +121,9 @@ def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> boo
     return float(calm(white**2, court.capped).mean()) > WORSE * float(gaps(base, court).mean())
 
 
-def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int, known: Fit | None = None) -> Stage:
+def in_noise(
+    base: Trial, court: Court, recordings: Recordings, seed: int, known: Fit | None = None, *, whole: bool = False
+) -> Stage:
     """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
 
     Args:
@@ -129,24 +132,32 @@ def in_noise(base: Trial, court: Court, recordings: Recordings, seed: int, known
         recordings: The windows.
         seed: Of the draws of noise.
         known: A model that knows more than the base does: where contacts are, what a model lacks looks like noise.
+        whole: Whether noise is followed in all its directions: what that takes grows with the square of the channels.
     """
     known = base.fit if known is None else known
     sigma = sensor_noise(known.replay, known.xi, recordings.rows)
     fit, held = (noise_of(known, sigma, half, seed) for half in (court.fitter, court.held))
     left = np.concatenate([base.fit.residuals, base.held])
     loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
-    fitter = replace(court.fitter, loudness=loud[: fit.shape[1]])
-    other = replace(court.held, loudness=loud[fit.shape[1] :])
+    if whole:
+        parts = [
+            noise_covariance(known.replay, known.xi, half.windows, half.horizons, sigma)
+            for half in (court.fitter, court.held)
+        ]
+        loud = likeliest_directions(np.concatenate(parts), left, court.floor, loud)
+    fitter = replace(court.fitter, noise=loud.some(slice(None, fit.shape[1])))
+    other = replace(court.held, noise=loud.some(slice(fit.shape[1], None)))
+    fit, held = fitter.quieten(fit), other.quieten(held)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     moved = _moved(found.replay, recordings)
     floor, precision = floor_of(found.residuals, moved), precision_of(moved)
-    quiet = learn_scatter((fit / fitter.scale).reshape(-1, *floor.shape), 0, floor)
+    quiet = learn_scatter(fit.reshape(-1, *floor.shape), 0, floor)
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
     base = court.judge(None, found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
-    yardstick = Yardstick.of(held / other.scale, base.held, court.capped, precision)
+    yardstick = Yardstick.of(held, base.held, court.capped, precision)
     return Stage(recordings, nominal, base, court, yardstick, sigma, precision)
 
 
