@@ -74,7 +74,7 @@ def likeliest_directions(covariance: Array, residuals: Array, floor: Array, plai
     whole = covariance + np.diag(floor.ravel() ** 2)
     size = np.sqrt(np.einsum("nii->i", whole) / len(whole))
     values, vectors = np.linalg.eigh(whole / np.outer(size, size))
-    values = np.maximum(values, 1e-12)
+    values = np.maximum(values, 1e-12)  # the floor keeps them positive, but for rounding
 
     def power(alpha: float) -> Directions:
         root = np.einsum("nij,nj,nkj->nik", vectors, values ** (-0.5 * alpha), vectors, optimize=True)

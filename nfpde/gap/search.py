@@ -119,8 +119,9 @@ class Search:
             recordings = self.cut(lead, held)
             lengths = self._lengths(recordings)
             base, court = moved_over(base, court, lengths[0])
+        whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
-        first = in_noise(base, court, lengths[0], self.seed, whole=len(lengths) > 1)
+        first = in_noise(base, court, lengths[0], self.seed, whole=whole)
         near, selection, final, accepted = self._select(first, self.select(first))
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
@@ -130,7 +131,7 @@ class Search:
             self.report("noise of the sensors")
             if near is not first:  # the parameters had been stuck
                 base, court = moved_over(near.base, court, lengths[0])
-            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=len(lengths) > 1)
+            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole)
             if (first.sigma >= QUIETER * near.sigma).all():
                 break
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
