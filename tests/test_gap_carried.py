@@ -74,12 +74,41 @@ def test_an_effect_is_not_tried_beside_itself():
         return Trial(which, ANYTHING, np.zeros(4), residuals, np.zeros(4))
 
     accepted = [
-        Accepted(friction, trial(friction), (trial(damping),), ()),
-        Accepted(damping, trial(damping), (), ()),
+        Accepted(friction, trial(friction), (trial(damping),), (), ()),
+        Accepted(damping, trial(damping), (), (), ()),
     ]
     selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
     current = trial(damping)
     assert selection._told_apart(current, accepted, 0, 1.0) == (current, accepted)
+
+
+class Again(Selection):
+    """A selection that notes which effects it refits, and accepts none."""
+
+    refits: list[Any]
+
+    def without(self, trial, index):
+        return trial
+
+    def again(self, smaller, trials):
+        self.refits = [t.effect for t in trials]
+        return []
+
+    def accept(self, current, trials, first_gap):
+        return None
+
+
+def test_what_left_nearly_as_little_on_shorter_windows_is_tried_again():
+    """Equal or not: each once, and none that has been accepted since."""
+    names = ("coulomb_friction", "armature", "viscous_damping", "joint_offset")
+    keys = ("torque", "inertia", "damping", "offset")
+    all_four = [effect(n, "elbow", **{k: (0, 1)}) for n, k in zip(names, keys, strict=True)]
+    first, near, rival, other = (Trial(e, ANYTHING, np.zeros(4), ANYTHING, np.zeros(4)) for e in all_four)
+    asked = Accepted(all_four[0], first, (rival,), (near, rival, other), ())
+    beside = Accepted(all_four[3], other, (), (), ())
+    selection = Again(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    assert selection._told_apart(other, [asked, beside], 0, 1.0) == (other, [asked, beside])
+    assert selection.refits == [all_four[0], all_four[1], all_four[2]]
 
 
 class Asking(Selection):
@@ -204,7 +233,7 @@ def test_what_does_nothing_on_longer_windows_is_not_carried_there(size):
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
     selection = Settled(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
     first, found = selection._converged(base), selection._converged(beside)
-    accepted = [Accepted(ANYTHING, found, (), ())]
+    accepted = [Accepted(ANYTHING, found, (), (), ())]
     carried, kept = selection._carried(first, found, accepted, 1.0)
     assert kept == (accepted if size else [])
     assert (carried is first) is (not size)

@@ -349,6 +349,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     assert found is not None
     assert found[1].effect is one
     assert (trials[1] in found[1].rivals) is equal
+    assert (trials[1] in found[1].close) is (size < 1.5)  # 1.8 leaves 3.2 of 16, the best 1
 
 
 def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():

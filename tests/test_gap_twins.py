@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning, other_beginnings
@@ -41,6 +42,76 @@ def test_a_motor_that_pushes_is_found_for_a_force_that_does():
     assert alike[0].share > 0.9  # the last looks are 7 % apart: the nearest is half of that off
     ((_, start),) = alike[0].starts
     assert start[0, 0] == pytest.approx(4.0, rel=0.3)
+
+
+MOTOR_XML = """
+<mujoco>
+  <option timestep="0.002" gravity="0 0 0"/>
+  <worldbody>
+    <body>
+      <joint name="turn" axis="0 0 1" damping="0.02"/>
+      <geom type="box" size="0.2 0.02 0.02" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="turn"/></actuator>
+</mujoco>
+"""
+STALL, NO_LOAD = 0.5, 6.0
+
+
+def turns():
+    """Recordings of a motor whose torque sinks with its speed, computed by hand: no gravity, one inertia."""
+    model = mujoco.MjModel.from_xml_string(MOTOR_XML)
+    inertia, dt = (0.2**2 + 0.02**2) / 3, 0.002
+    rng, out = np.random.default_rng(5), []
+    for number in range(4):
+        ctrl = 1.2 * np.sign(np.sin(2 * np.pi * rng.uniform(0.4, 0.9) * 0.02 * np.arange(240)))[:, None]
+        ctrl *= rng.uniform(0.1, 1.0, size=(8, 1)).repeat(30, 0)
+        qpos, qvel = np.zeros((240, 1)), np.zeros((240, 1))
+        q, v = 0.0, 0.0
+        for row in range(240):
+            qpos[row], qvel[row] = q, v
+            for _ in range(10):
+                most = STALL * np.clip(1 - max(v, 0.0) / NO_LOAD, 0, None)
+                least = -STALL * np.clip(1 + min(v, 0.0) / NO_LOAD, 0, None)
+                # damping is implicit in MuJoCo's Euler steps
+                v = (inertia * v + dt * float(np.clip(ctrl[row, 0], least, most))) / (inertia + dt * 0.02)
+                q += dt * v
+        out.append(Episode(str(number), 0.02 * np.arange(240), qpos, qvel, ctrl))
+    return model, Dataset(out)
+
+
+def test_a_motor_that_tires_with_speed_is_looked_for_beside_a_limit():
+    """What cannot do what was found, by any mixture of what is screened, costs no more than that."""
+    model, data = turns()
+    recordings = cut_recordings(data, 0, 0, 60)
+    base, court = first_fit(Replay(model, None, []), recordings, np.zeros((1, 0)), capped=False)
+    stage = in_noise(base, court, recordings, 0)
+    limit = effect("torque_limit", 0, limit=(0.05, 5))
+    fit = stage.court.fitter.start(Replay(model, None, [limit]), np.array([[STALL]]), stage.base.fit.scatter)
+    found = stage.court.judge(limit, fit)
+    curve = effect("torque_speed", 0, no_load_speed=(1, 60), stall_torque=(0.05, 5))
+    zero = effect("joint_offset", "turn", offset=(-0.1, 0.1))  # nothing depends on the position
+    others = [(zero, np.array([[0.05], [-0.05]])), (curve, np.array([[10.0, 0.3], [20.0, 1.0], [4.0, 2.0]]))]
+    made = []
+
+    def replay_with(one):
+        made.append(Replay(model, None, [one]))
+        return made[-1]
+
+    (twin,) = find_twins(stage.court, stage.base.fit, found, others, replay_with)
+    assert twin.effect is curve
+    truth = stage.court.judge(curve, stage.court.fitter.start(twin.replay, np.array([[NO_LOAD, STALL]]), fit.scatter))
+    assert np.abs(truth.held).max() < 1e-9  # the physics by hand are the effect's
+    idle, tried = (r.sim.simulated_steps for r in made)
+    assert 10 * idle < tried
+
+
+@pytest.mark.parametrize(("sigma", "left", "asks"), [(None, 1.0, False), (None, 9.0, True), (np.ones(2), 1.0, True)])
+def test_twins_are_asked_for_where_screening_may_have_missed_them(sigma, left, asks):
+    """Beside contacts always, in smooth motion where what was found leaves something over."""
+    selection = known({}, sigma=sigma)
+    assert selection._asks_for_twins(trial(RUB, left)) is asks
 
 
 RUB, SPRING, MOTOR, LOAD = (
@@ -100,7 +171,7 @@ def begins(selection, final, *effects):
 
 
 def accepted(*effects):
-    return [Accepted(e, trial(e, 1.0), (), ()) for e in effects]
+    return [Accepted(e, trial(e, 1.0), (), (), ()) for e in effects]
 
 
 BASE, MIMIC = trial(None, 100.0), trial(RUB, 10.0, 5.0)
@@ -119,7 +190,7 @@ class Leading(Selection):
 
     def accept(self, current, trials, first_gap):
         best: Any = max(trials, key=lambda t: t.density.mean())
-        return best, Accepted(best.effect, best, (), tuple(trials))
+        return best, Accepted(best.effect, best, (), (), tuple(trials))
 
 
 def test_what_does_the_same_is_looked_for_until_nothing_else_is_accepted():

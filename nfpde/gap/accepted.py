@@ -15,12 +15,14 @@ class Accepted:
     effect: the effect
     trial: it and everything accepted before, when it was accepted
     rivals: other effects that explain the same there
+    close: that left nearly as little of the gap there, told apart or not
     field: all that were refitted there, it included
     """
 
     effect: Effect
     trial: Trial
     rivals: tuple[Trial, ...]
+    close: tuple[Trial, ...]
     field: tuple[Trial, ...]
 
     def with_rival(self, trial: Trial) -> Accepted:

@@ -96,18 +96,19 @@ class Selection(Rounds):
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self.refitted(current, [a.effect for a in accepted])
             found = self.accept(current, trials, first_gap)
-            # in smooth motion screening ranks what does the same alike anyway
-            if found is not None and self.sigma is not None:
+            idle = None if found is None else self._idle(found[0])
+            if found is not None and idle is None and self._asks_for_twins(found[0]):
                 trials, found = self._beside_twins(current, found, trials, accepted, first_gap)
+                idle = self._idle(found[0])
             self.ranking, self.asked = self.ranking or trials, found is None
             if found is None:
                 break
-            current, new = found
-            if (idle := self._idle(current)) is not None:
+            if idle is not None:
                 if not accepted:
                     return self._linear(idle, fitted=True), []
                 current = idle
                 continue
+            current, new = found
             current = self._converged(current.fit)
             accepted.append(new)
             if len(accepted) > 1:
@@ -115,6 +116,14 @@ class Selection(Rounds):
         if len(accepted) > 1:
             current, accepted = self._pruned(current, accepted, first_gap)
         return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
+
+    def _asks_for_twins(self, found: Trial) -> bool:
+        """Whether another effect may do what the found one does, and better, though screening ranked it low.
+
+        In smooth motion screening sees what does the same alike, unless more than one thing is wrong, or the cause
+        has more to it than what screening tries: then the found one leaves something over.
+        """
+        return self.sigma is not None or not self.at_floor(found)
 
     def _beside_twins(
         self, current: Trial, found: Chosen, trials: list[Trial], accepted: list[Accepted], first_gap: float
@@ -165,10 +174,14 @@ class Selection(Rounds):
     def _told_apart(
         self, current: Trial, accepted: list[Accepted], index: int, first_gap: float
     ) -> tuple[Trial, list[Accepted]]:
-        """An effect that had equals on shorter windows beside them on these; it stays where these ask for none."""
+        """An effect beside those that did the same on shorter windows, or nearly; it stays where these ask for none.
+
+        Fits to short windows beside contacts may stop on their way, and equals be told apart by where.
+        """
         asked = accepted[index]
         others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
-        rivals = [t for t in asked.rivals if t.effect is not None and key(t.effect) not in others]
+        again = {key(t.effect): t for t in (*asked.close, *asked.rivals) if t.effect is not None}
+        rivals = [t for name, t in again.items() if name not in others]
         if not rivals:
             return current, accepted
         smaller = self.without(current, index)
@@ -275,8 +288,11 @@ class Selection(Rounds):
         block, likelier = self.court.block, []
         if self.sigma is not None:  # what is likelier still may be worth more over longer windows
             likelier = [t for t in trials if t not in worthy and t.density.mean() > best.density.mean()]
-        near, equal = [], []
+        near, equal, close = [], [], []
+        left = self.gap_of(best)
         for trial in (beside := [*likelier, *worthy]):
+            if self.gap_of(trial) - left <= (1 - CLOSED) * (gap - left):
+                close.append(trial)
             behind, error, apart = block_test(best.density - trial.density, block)
             if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
                 near.append(trial)
@@ -287,7 +303,8 @@ class Selection(Rounds):
         chosen = next(t for t in simplest if t is best or stands(t))
         if chosen.effect is None:
             return None
-        return chosen, Accepted(chosen.effect, chosen, tuple(t for t in equal if t is not chosen), tuple(beside))
+        rivals, others = ((t for t in some if t is not chosen) for some in (equal, close))
+        return chosen, Accepted(chosen.effect, chosen, tuple(rivals), tuple(others), tuple(beside))
 
     def _gain(self, trial: Trial, current: Trial, level: float) -> float:
         """Held-out log density gained per window, where it is sure; else nothing.

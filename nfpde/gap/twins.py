@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 ALIKE = 0.5
 """Share of what an effect changes (squares) that another must be able to change alike to be tried in its place."""
 
+CONCEIVABLE = 0.25
+"""The same share of what mixtures of the values that are screened change: those with less are not looked at closely."""
+
 MOST_TWINS = 3
 """Effects tried in the place of one, at most: those most alike."""
 
@@ -60,24 +63,35 @@ def find_twins(
         return rows - (rows @ span) @ span.T
 
     wanted = change(within[None])[0]
+    touches = court.capped > 0
     size, out = max(float(wanted @ wanted), 1e-300), list[Screened]()
-
-    def likeness(replay: Replay, guesses: Array) -> Array:
-        return 1.0 - ((change(fitter.residuals_at(replay, guesses)) - wanted) ** 2).sum(1) / size
 
     for effect, values in candidates:
         replay = replay_with(effect)
         index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
         guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
-        guesses = np.vstack([guesses, all_over(replay, index, guesses[0], looks)])
-        alike = likeness(replay, guesses)
-        best = guesses[int(alike.argmax())]
-        closer = all_over(replay, index, best, looks, CLOSER)
-        guesses = np.vstack([guesses, closer])
-        alike = np.concatenate([alike, likeness(replay, closer)])
+        changes = change(fitter.residuals_at(replay, guesses))
+        # beside contacts what friction holds shows nothing of what it does at its size
+        if not touches and _mixed(changes, wanted) < CONCEIVABLE:
+            continue
+        alike = 1.0 - ((changes - wanted) ** 2).sum(1) / size
+        for width in (1.0, CLOSER):
+            about = guesses[int(alike.argmax())]
+            more = all_over(replay, index, about, looks, width)
+            changes = change(fitter.residuals_at(replay, more))
+            guesses = np.vstack([guesses, more])
+            alike = np.concatenate([alike, 1.0 - ((changes - wanted) ** 2).sum(1) / size])
         order = np.argsort(-alike, kind="stable")[:GUESSES]
         share = float(alike[order[0]])
         if share >= ALIKE:
             start = guesses[order][:, replay.columns(index)]
             out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),)))
     return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]
+
+
+def _mixed(changes: Array, wanted: Array) -> float:
+    """Share of the squares of a wanted change (n,) that the best mixture of changes (K, n) makes."""
+    norms = np.linalg.norm(changes, axis=1, keepdims=True)
+    left, size, _ = np.linalg.svd((changes / np.maximum(norms, 1e-300)).T, full_matrices=False)
+    along = left[:, size > 1e-7].T @ wanted
+    return float(along @ along) / max(float(wanted @ wanted), 1e-300)
