@@ -16,7 +16,7 @@ from nfpde.gap.replay import Replay
 from nfpde.gap.select import Selection
 from nfpde.gap.stage import first_fit, in_noise
 from nfpde.gap.trial import Court, Trial
-from nfpde.gap.twins import find_twins
+from nfpde.gap.twins import find_twins, share_of_mixtures
 from tests.test_gap_contacts import BLOCK, pushes
 
 ANYTHING: Any = None
@@ -104,7 +104,18 @@ def test_a_motor_that_tires_with_speed_is_looked_for_beside_a_limit():
     truth = stage.court.judge(curve, stage.court.fitter.start(twin.replay, np.array([[NO_LOAD, STALL]]), fit.scatter))
     assert np.abs(truth.held).max() < 1e-9  # the physics by hand are the effect's
     idle, tried = (r.sim.simulated_steps for r in made)
-    assert 10 * idle < tried
+    assert 10 * idle < tried  # 2 values, against 3 and twice 32
+
+
+def test_what_mixtures_of_changes_can_make():
+    """The share of the squares in their span; what changes nothing adds nothing."""
+    changes = np.array([[2.0, 0.0, 0.0], [1e9, 1e-2, 0.0], [0.0, 0.0, 0.0]])
+    assert share_of_mixtures(changes[:1], np.array([3.0, 4.0, 12.0])) == pytest.approx(9 / 169)
+    assert share_of_mixtures(np.eye(3)[[0, 1, 1]], np.array([3.0, 4.0, 12.0])) == pytest.approx(25 / 169)
+    assert share_of_mixtures(changes[2:], np.array([3.0, 4.0, 12.0])) == 0.0
+    assert share_of_mixtures(changes, np.array([3.0, 4.0, 12.0])) == pytest.approx(
+        9 / 169
+    )  # nearly parallel: no second direction
 
 
 @pytest.mark.parametrize(("sigma", "left", "asks"), [(None, 1.0, False), (None, 9.0, True), (np.ones(2), 1.0, True)])

@@ -98,8 +98,9 @@ class Selection(Rounds):
             found = self.accept(current, trials, first_gap)
             idle = None if found is None else self._idle(found[0])
             if found is not None and idle is None and self._asks_for_twins(found[0]):
+                first = found[0]
                 trials, found = self._beside_twins(current, found, trials, accepted, first_gap)
-                idle = self._idle(found[0])
+                idle = None if found[0] is first else self._idle(found[0])
             self.ranking, self.asked = self.ranking or trials, found is None
             if found is None:
                 break
@@ -288,11 +289,8 @@ class Selection(Rounds):
         block, likelier = self.court.block, []
         if self.sigma is not None:  # what is likelier still may be worth more over longer windows
             likelier = [t for t in trials if t not in worthy and t.density.mean() > best.density.mean()]
-        near, equal, close = [], [], []
-        left = self.gap_of(best)
+        near, equal = [], []
         for trial in (beside := [*likelier, *worthy]):
-            if self.gap_of(trial) - left <= (1 - CLOSED) * (gap - left):
-                close.append(trial)
             behind, error, apart = block_test(best.density - trial.density, block)
             if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
                 near.append(trial)
@@ -303,8 +301,9 @@ class Selection(Rounds):
         chosen = next(t for t in simplest if t is best or stands(t))
         if chosen.effect is None:
             return None
-        rivals, others = ((t for t in some if t is not chosen) for some in (equal, close))
-        return chosen, Accepted(chosen.effect, chosen, tuple(rivals), tuple(others), tuple(beside))
+        close = [t for t in beside if self._leaves_nearly(gap, best, t)]
+        rivals, others = (tuple(t for t in some if t is not chosen) for some in (equal, close))
+        return chosen, Accepted(chosen.effect, chosen, rivals, others, tuple(beside))
 
     def _gain(self, trial: Trial, current: Trial, level: float) -> float:
         """Held-out log density gained per window, where it is sure; else nothing.
@@ -342,7 +341,12 @@ class Selection(Rounds):
             return untold
         left = self.gap_of(best)
         more = self.gap_of(trial) - left
-        return more <= FLOOR_ERROR * max(left, 1.0) or (untold and more <= (1 - CLOSED) * (gap - left))
+        return more <= FLOOR_ERROR * max(left, 1.0) or (untold and self._leaves_nearly(gap, best, trial))
+
+    def _leaves_nearly(self, gap: float, best: Trial, trial: Trial) -> bool:
+        """Whether a trial leaves nearly as little of a gap as the best."""
+        left = self.gap_of(best)
+        return self.gap_of(trial) - left <= (1 - CLOSED) * (gap - left)
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""

@@ -66,21 +66,22 @@ def find_twins(
     touches = court.capped > 0
     size, out = max(float(wanted @ wanted), 1e-300), list[Screened]()
 
+    def likeness(changes: Array) -> Array:
+        return 1.0 - ((changes - wanted) ** 2).sum(1) / size
+
     for effect, values in candidates:
         replay = replay_with(effect)
         index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
         guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
         changes = change(fitter.residuals_at(replay, guesses))
         # beside contacts what friction holds shows nothing of what it does at its size
-        if not touches and _mixed(changes, wanted) < CONCEIVABLE:
+        if not touches and share_of_mixtures(changes, wanted) < CONCEIVABLE:
             continue
-        alike = 1.0 - ((changes - wanted) ** 2).sum(1) / size
+        alike = likeness(changes)
         for width in (1.0, CLOSER):
-            about = guesses[int(alike.argmax())]
-            more = all_over(replay, index, about, looks, width)
-            changes = change(fitter.residuals_at(replay, more))
+            more = all_over(replay, index, guesses[int(alike.argmax())], looks, width)
             guesses = np.vstack([guesses, more])
-            alike = np.concatenate([alike, 1.0 - ((changes - wanted) ** 2).sum(1) / size])
+            alike = np.concatenate([alike, likeness(change(fitter.residuals_at(replay, more)))])
         order = np.argsort(-alike, kind="stable")[:GUESSES]
         share = float(alike[order[0]])
         if share >= ALIKE:
@@ -89,7 +90,7 @@ def find_twins(
     return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]
 
 
-def _mixed(changes: Array, wanted: Array) -> float:
+def share_of_mixtures(changes: Array, wanted: Array) -> float:
     """Share of the squares of a wanted change (n,) that the best mixture of changes (K, n) makes."""
     norms = np.linalg.norm(changes, axis=1, keepdims=True)
     left, size, _ = np.linalg.svd((changes / np.maximum(norms, 1e-300)).T, full_matrices=False)
