@@ -1,5 +1,7 @@
 """Models that collide with themselves where the robot did not, and what a verdict makes of an uncertain floor."""
 
+from contextlib import nullcontext
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import NEAR_FLOOR, _verdict
 from nfpde.gap.checks import check_fit, check_readings
+from nfpde.gap.foresight import check_commands
 from nfpde.gap.overlap import always_touching, without_contacts
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
@@ -163,6 +166,35 @@ def test_a_servos_late_log_is_named():
     """The same servo as the model's, with its commands a row late."""
     with pytest.raises(BadDataset, match="commands look one row late"):
         checked(servo(100, 3), follow(100, 3, 1e-5, late=1))
+
+
+CARTS = """
+<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody>
+  <body><joint name="left" type="slide" axis="1 0 0" damping="1"/><geom size=".1" mass="1" contype="0"/></body>
+  <body><joint name="right" type="slide" axis="1 0 0" damping="1"/><geom size=".1" mass="1" contype="0"/></body>
+</worldbody><actuator><motor joint="left"/><motor joint="right"/></actuator></mujoco>
+"""
+
+
+def carts(late, noise):
+    """Two carts driven by white commands, those of each logged some rows late, and noise [m/s] on each one's speed."""
+    model, rng = mujoco.MjModel.from_xml_string(CARTS), np.random.default_rng(0)
+    data, rows = mujoco.MjData(model), 300
+    ctrl, qpos, qvel = rng.normal(size=(rows, 2)), np.empty((rows, 2)), np.empty((rows, 2))
+    for row in range(rows):
+        qpos[row], qvel[row], data.ctrl[:] = data.qpos, data.qvel, ctrl[row]
+        mujoco.mj_step(model, data)
+    qvel += noise * rng.normal(size=qvel.shape)
+    logged = np.column_stack([np.roll(ctrl[:, k], rows_late) for k, rows_late in enumerate(late)])[1:]
+    return model, Dataset([Episode("0", 0.01 * np.arange(rows - 1), qpos[1:], qvel[1:], logged)])
+
+
+@pytest.mark.parametrize(("late", "refused"), [((1, 1), True), ((0, 1), False)])
+def test_what_one_joint_says_of_late_logs_another_may_deny(late, refused):
+    """The noise is a third to a half of a command's step: a joint alone would tell, and half of them deny."""
+    model, data = carts(late, np.array([0.005, 0.003]))
+    with pytest.raises(BadDataset, match="commands look one row late") if refused else nullcontext():
+        check_commands(Replay(model, None, []), data, np.zeros(0))
 
 
 def rubbed(data):
