@@ -14,8 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 from nfpde.bench.gap import cases as case_module
+from nfpde.bench.gap import kept
 from nfpde.bench.gap import run as bench
 from nfpde.bench.gap.draw import draw_system
+from nfpde.bench.gap.kept import fingerprint
 from nfpde.bench.gap.workers import shared_cores, workers
 from nfpde.cli import app
 from nfpde.errors import BadInput
@@ -122,6 +124,38 @@ def test_kept_cases_of_other_settings_are_refused(stub, quick, tmp_path):
     bench.run(31, tmp_path / "out", cases=1, folder=tmp_path / "work", command=stub)
     with pytest.raises(BadInput, match=r"limit 300\.0, this call has 5\.0"):
         bench.run(31, tmp_path / "out", cases=1, folder=tmp_path / "work", command=stub, limit=5.0)
+
+
+def test_a_table_goes_on_without_its_folder(stub, quick, tmp_path, monkeypatch):
+    """On another machine only what the committed table lacks is measured; rows of other code are measured anew."""
+    out = tmp_path / "out"
+    first = bench.run(31, out, cases=2, folder=tmp_path / "here", command=stub)
+    rows = bench.run(31, out, cases=3, folder=tmp_path / "there", command=stub)
+    assert [p.name for p in (tmp_path / "there" / "answers").iterdir()] == ["0002.json"]
+    assert [row.index for row in rows] == [0, 1, 2]
+    assert rows[:2] == first
+    assert f"code {fingerprint()}" in (out / "gap.md").read_text()
+    monkeypatch.setattr(bench, "fingerprint", lambda: "other")
+    bench.run(31, out, cases=3, folder=tmp_path / "changed", command=stub)
+    assert len([*(tmp_path / "changed" / "answers").iterdir()]) == 3
+    with pytest.raises(BadInput, match=r"with code '[0-9a-f]{16}', this call has 'other'"):
+        bench.run(31, out, cases=3, folder=tmp_path / "there", command=stub)
+
+
+def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
+    """Faults and diagnosis count, names of files too; the look of tables does not."""
+    monkeypatch.setattr(kept, "PACKAGE", tmp_path)
+
+    def write(name, text):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+        return kept.fingerprint.__wrapped__()
+
+    seen = [write("gap/search.py", "a"), write("gap/search.py", "b"), write("bench/gap/faults/wind.py", "a")]
+    seen += [write("bench/gap/models/sled.xml", "a"), write("kernels/new.py", "")]
+    assert len({*seen}) == 5
+    for name in ("bench/gap/table.py", "bench/ot.py", "cli/bench.py", "rl/env.py", "gap/search.pyc"):
+        assert write(name, "a") == seen[-1]
 
 
 @pytest.mark.parametrize(("bad", "words"), [({"cases": 0}, "cases"), ({"jobs": 0}, "jobs"), ({"limit": -1.0}, "limit")])

@@ -230,7 +230,8 @@ def test_figures_count_what_they_say():
     assert shown["seconds, median"] == (3.0, 6, True)
     assert confusion(rows)["coulomb_friction"] == {"coulomb_friction": 3, "armature": 1}
     assert [b["cases"] for b in by_size(rows)] == [0, 0, 4, 0, 0, 0]
-    page = table(rows, {"command": "c", "seed": 1, "versions": {}, "machine": "m", "device": "cpu"}, "gap.png")
+    facts = {"command": "c", "seed": 1, "code": "0f", "versions": {}, "machine": "m", "device": "cpu"}
+    page = table(rows, facts, "gap.png")
     assert "| right cause, one effect | >= 95 % | 75.0 % |" in page
     assert "Cases that are not right (2)" in page
 

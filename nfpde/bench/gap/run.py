@@ -16,6 +16,7 @@ from typing import Any
 from nfpde.bench.gap.cases import Case, finished, outcome, run_case
 from nfpde.bench.gap.curve import draw_curve
 from nfpde.bench.gap.draw import draw_system
+from nfpde.bench.gap.kept import fingerprint, kept_rows
 from nfpde.bench.gap.score import Row, judge
 from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
@@ -46,6 +47,8 @@ def run(
 ) -> list[Row]:
     """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
 
+    Finished is what lies in the folder, and what a gap.json in `out` tells of the same systems, settings and code.
+
     Args:
         seed: seed of the systems; none that anything was tried on before.
         out: folder for the tables.
@@ -71,18 +74,22 @@ def run(
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
     folder.mkdir(parents=True, exist_ok=True)
-    facts = _facts(seed, cases, limit, quick, device)
-    _check_kept(folder, {"seed": seed, "limit": limit, "command": list(command), "versions": facts["versions"]})
-    every = [Case(seed, index, folder, command, limit) for index in range(cases)]
-    _work([case for case in every if not finished(case)], cases, jobs)
-    rows, ran_on = [], {}
-    for case in every:
-        key, answer = outcome(case)
-        rows.append(judge(key, answer["status"], answer["seconds"], answer["diagnosis"]))
-        ran_on |= {(answer["diagnosis"] or {}).get("device", device): None}
+    facts = _facts(seed, cases, limit, quick, device) | {"diagnosis": list(command[1:])}
+    settings = {"seed": seed, "limit": limit, "command": list(command)}
+    _check_kept(folder, settings | {name: facts[name] for name in ("versions", "code")})
     name = "gap" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
+    every = [Case(seed, index, folder, command, limit) for index in range(cases)]
+    kept = kept_rows(out / f"{name}.json", facts)
+    _work([case for case in every if not finished(case) and case.index not in kept], cases, jobs)
+    rows = [_row(case) if finished(case) else kept[case.index] for case in every]
+    ran_on = dict.fromkeys(row.device or device for row in rows)
     _write(rows, facts | {"device": ", ".join(ran_on)}, out, name)
     return rows
+
+
+def _row(case: Case) -> Row:
+    key, answer = outcome(case)
+    return judge(key, answer["status"], answer["seconds"], answer["diagnosis"])
 
 
 def draw_only(seed: int, folder: Path, keys: Path, *, cases: int, start: int = 0) -> None:
@@ -144,6 +151,8 @@ def _facts(seed: int, cases: int, limit: float, quick: bool, device: str) -> dic
     return {
         "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}",
         "seed": seed,
+        "limit": limit,
+        "code": fingerprint(),
         "versions": {name: version(name) for name in ("nfpde", "mujoco", "numpy", "scipy")},
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
     }

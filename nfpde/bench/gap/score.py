@@ -49,6 +49,7 @@ class Row:
         own_after: gap after the effects over the noise floor that the diagnosis itself states.
         seconds: wall time.
         steps: simulated steps.
+        device: where it simulated, in its own words; "" where it failed.
         reason: why the case is not right; "" where it is.
     """
 
@@ -72,6 +73,7 @@ class Row:
     own_after: float | None = None
     seconds: float = math.nan
     steps: float = 0.0
+    device: str = ""
     reason: str = ""
 
 
@@ -107,6 +109,7 @@ def judge(key: Json, status: str, seconds: float, diagnosis: Json | None) -> Row
 def _fill(row: Row, key: Json, diagnosis: Json) -> None:
     effects, faults = diagnosis["effects"], key["faults"]
     row.verdict, row.steps = diagnosis["verdict"], float(diagnosis["simulated_steps"])
+    row.device = diagnosis.get("device", "")
     row.named = [f"{e['effect']} @ {e['target']}" for e in effects]
     row.set_size = len(effects[0].get("indistinguishable", ())) + 1 if effects else 0
     row.extra = max(len(effects) - (0 if row.kind in ("none", "outsider") else len(faults)), 0)

@@ -41,7 +41,7 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
 
     Args:
         rows: one a case.
-        facts: command, seed, versions, machine and device.
+        facts: command, seed, code, versions, machine and device.
         curve: file name of the picture.
     """
     failed = [row for row in rows if not row.right]
@@ -102,8 +102,8 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             "|---|---|---|---|---|---|---|",
             *map(_failure, failed),
             "",
-            f"`{facts['command']}`, seed {facts['seed']}; versions {facts['versions']}; {facts['machine']}; "
-            f"simulated on {facts['device']}.",
+            f"`{facts['command']}`, seed {facts['seed']}; code {facts['code']}; versions {facts['versions']}; "
+            f"{facts['machine']}; simulated on {facts['device']}.",
             "",
         ]
     )
