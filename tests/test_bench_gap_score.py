@@ -18,6 +18,7 @@ def key_of(kind, *faults, floor=0.1):
         "noise_floor": floor,
         "floor_by_step": [floor] * 25,
         "windows": 100,
+        "free": [],
         "actuators": {"motor1": "elbow", "motor2": "wrist"},
         "bodies": {"fore": "elbow", "hand": "wrist"},
     }
@@ -169,6 +170,45 @@ def test_signs_by_convention_may_be_turned_together():
     assert max(mixed.errors.values()) > 1
 
 
+def within(answer, low, high):
+    """The same answer with other intervals."""
+    for name, v in answer["effects"][0]["parameters"].items():
+        v.update(low=low[name], high=high[name])
+    return answer
+
+
+def test_intervals_hold_the_true_value_or_not():
+    """Of those values that are scored, with the sign that the errors are of."""
+    truth = fault("load_friction", "elbow", {"base": 0.1, "share": 0.2})
+    answer = diagnosis("effects", effect("load_friction", "elbow", base=0.12, share=0.25))
+    row = one(within(answer, {"base": 0.09, "share": 0.24}, {"base": 0.13, "share": 0.26}), truth)
+    assert row.inside == {"base": True, "share": False}
+    tilt = fault("gravity_tilt", "world", {"roll": 0.03})
+    answer = diagnosis("effects", effect("gravity_tilt", "world", roll=-0.031))
+    assert one(within(answer, {"roll": -0.033}, {"roll": -0.029}), tilt).inside == {"roll": True}
+    assert one(within(answer, {"roll": 0.029}, {"roll": 0.033}), tilt).inside == {"roll": False}
+    hidden = fault("coulomb_friction", "elbow", {"torque": 0.5}, visible=0.3)
+    assert one(diagnosis("effects", effect("coulomb_friction", "elbow", torque=5.0)), hidden).inside == {}
+
+
+def test_free_parameters_are_scored_where_the_case_is_right():
+    """Controls too; beside an effect that the library lacks they have no true value."""
+    fitted = {
+        "body_mass:fore": {"value": 1.0, "low": 0.9, "high": 1.1},
+        "body_mass:hand": {"value": 2, "low": 2, "high": 3},
+    }
+    free = [{"field": "body_mass", "element": name, "true": 1.05} for name in ("fore", "hand")]
+
+    def said(kind, verdict, *faults):
+        answer = diagnosis(verdict) | {"parameters": fitted}
+        return judge({**key_of(kind, *faults), "free": free}, "done", 1.0, answer).base_inside
+
+    assert said("none", "no_gap") == {"body_mass:fore": True, "body_mass:hand": False}
+    assert said("none", "unexplained") == {}
+    assert said("one", "no_gap", COULOMB) == {}
+    assert said("outsider", "unexplained", fault("magnet", "elbow", {})) == {}
+
+
 def test_controls_want_silence():
     """Any verdict but "no_gap" is an alarm."""
     assert judge(key_of("none"), "done", 1.0, diagnosis("no_gap")).right
@@ -234,6 +274,7 @@ def test_figures_count_what_they_say():
     page = table(rows, facts, "gap.png")
     assert "| right cause, one effect | >= 95 % | 75.0 % |" in page
     assert "Cases that are not right (2)" in page
+    assert "hold the true value in 0.0 % of 3 values of effects; in no free parameters" in page
 
 
 def test_wilson_intervals():

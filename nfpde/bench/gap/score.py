@@ -45,6 +45,8 @@ class Row:
         set_size: effects in the first one's declared set.
         extra: effects that were accepted beyond the hidden ones.
         errors: relative errors of the fitted values that these recordings determine.
+        inside: of the same values, whether they lie in the stated 95 % interval.
+        base_inside: the same of every free parameter, where the case is right.
         after: gap after the effects over what the true robot leaves, both as shares of the gap before.
         own_after: gap after the effects over the noise floor that the diagnosis itself states.
         seconds: wall time.
@@ -69,6 +71,8 @@ class Row:
     set_size: int = 0
     extra: int = 0
     errors: dict[str, float] = field(default_factory=dict)
+    inside: dict[str, bool] = field(default_factory=dict)
+    base_inside: dict[str, bool] = field(default_factory=dict)
     after: float | None = None
     own_after: float | None = None
     seconds: float = math.nan
@@ -127,6 +131,13 @@ def _fill(row: Row, key: Json, diagnosis: Json) -> None:
         _one(row, key, effects, faults[0])
     else:
         _pair(row, key, effects, faults)
+    if row.right and row.kind != "outsider":  # beside what the library lacks parameters have no true value
+        row.base_inside = _base_inside(key, diagnosis.get("parameters", {}))
+
+
+def _base_inside(key: Json, fitted: Json) -> dict[str, bool]:
+    true = {f"{free['field']}:{free['element']}": free["true"] for free in key["free"]}
+    return {name: v["low"] <= true[name] <= v["high"] for name, v in fitted.items() if name in true}
 
 
 def _one(row: Row, key: Json, effects: Sequence[Json], fault: Json) -> None:
@@ -136,7 +147,7 @@ def _one(row: Row, key: Json, effects: Sequence[Json], fault: Json) -> None:
         row.cause, row.alone = bool(named), effects[0]["effect"] == fault["effect"]
         row.place = any(same_place(key, fault["target"], m["target"]) for m in named or first)
         if row.alone and same_place(key, fault["target"], effects[0]["target"]):
-            row.errors = value_errors(key, fault, effects[0])
+            row.errors, row.inside = value_errors(key, fault, effects[0])
     row.found = int(row.cause and row.place)
     row.right = row.found == 1
     if not row.right:
@@ -153,8 +164,9 @@ def _pair(row: Row, key: Json, effects: Sequence[Json], faults: Sequence[Json]) 
     for fault, held in zip(faults, holders, strict=True):
         exact = [effects[i] for i in held if effects[i]["effect"] == fault["effect"]]
         if exact:
-            errors = value_errors(key, fault, exact[0])
+            errors, inside = value_errors(key, fault, exact[0])
             row.errors.update({f"{fault['effect']}.{name}": e for name, e in errors.items()})
+            row.inside.update({f"{fault['effect']}.{name}": e for name, e in inside.items()})
     row.reason = "" if both else f"{row.found} of 2 found, {row.verdict}"
 
 
@@ -212,8 +224,11 @@ def _own_after(gap: Json) -> float | None:
     return (after / before) / max(floor / before, LEAST_FLOOR)
 
 
-def value_errors(key: Json, fault: Json, effect: Json) -> dict[str, float]:
-    """Relative errors of the fitted values, in the scales of the key, of those that the recordings determine."""
+def value_errors(key: Json, fault: Json, effect: Json) -> tuple[dict[str, float], dict[str, bool]]:
+    """Relative errors of the fitted values, in the scales of the key, and whether their intervals hold the true ones.
+
+    Of those values alone that the recordings determine.
+    """
     fitted = effect["parameters"]
     samples = math.sqrt(key["windows"] * HORIZON)
     true = dict(_flat(fault["values"]))
@@ -221,13 +236,14 @@ def value_errors(key: Json, fault: Json, effect: Json) -> dict[str, float]:
     signs = (1, -1) if fault["effect"] in BY_CONVENTION else (1,)
     answers = []
     for sign in signs:
-        errors = {}
+        errors, inside = {}, {}
         for name, value in true.items():
             if fault["visible"][name] * samples >= VISIBLE:
                 got, scale = found[name], fault["scales"][name.partition("[")[0]]
-                errors[name] = math.inf if got is None else abs(sign * got - value) / scale
-        answers.append(errors)
-    return min(answers, key=lambda e: sum(e.values()))
+                errors[name] = math.inf if got is None else abs(sign * got[0] - value) / scale
+                inside[name] = got is not None and got[1] <= sign * value <= got[2]
+        answers.append((errors, inside))
+    return min(answers, key=lambda e: sum(e[0].values()))
 
 
 def _flat(values: Json) -> Iterator[tuple[str, float]]:
@@ -238,14 +254,14 @@ def _flat(values: Json) -> Iterator[tuple[str, float]]:
             yield name, value
 
 
-def _fitted(parameters: Json, name: str, count: int) -> float | None:
-    """The fitted value of a name; vectors may be lists or one entry an axis, an only value has any name."""
-    plain = {k.lower().replace(" ", "_"): v["value"] for k, v in parameters.items()}
+def _fitted(parameters: Json, name: str, count: int) -> tuple[float, float, float] | None:
+    """The fitted value of a name and its interval: vectors may be lists or one entry an axis, an only value has any."""
+    plain = {k.lower().replace(" ", "_"): (v["value"], v["low"], v["high"]) for k, v in parameters.items()}
     stem, _, rest = name.partition("[")
     if rest:
         axis = int(rest[:-1])
-        if isinstance(plain.get(stem), list):
-            return float(plain[stem][axis])
+        if isinstance(plain.get(stem, (0.0,))[0], list):
+            return _plain([x[axis] for x in plain[stem]])
         for form in (
             f"{stem}[{axis}]",
             f"{stem}_{axis}",
@@ -254,8 +270,13 @@ def _fitted(parameters: Json, name: str, count: int) -> float | None:
             "xyz"[axis],
         ):
             if form in plain:
-                return float(plain[form])
+                return _plain(plain[form])
         return None
     if name in plain:
-        return float(plain[name])
-    return float(next(iter(plain.values()))) if count == 1 and len(plain) == 1 else None
+        return _plain(plain[name])
+    return _plain(next(iter(plain.values()))) if count == 1 and len(plain) == 1 else None
+
+
+def _plain(numbers: Sequence[Any]) -> tuple[float, float, float]:
+    value, low, high = map(float, numbers)
+    return value, low, high

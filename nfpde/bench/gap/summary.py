@@ -69,6 +69,17 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
     return found
 
 
+def coverage(rows: Sequence[Row]) -> list[tuple[str, float | None, int]]:
+    """How often the stated 95 % intervals hold the true value: of effects' values, and of free parameters."""
+    return [
+        (name, sum(held) / len(held) if held else None, len(held))
+        for name, held in (
+            ("values of effects", [x for row in rows for x in row.inside.values()]),
+            ("free parameters, where the case is right", [x for row in rows for x in row.base_inside.values()]),
+        )
+    ]
+
+
 def at_floor(rows: Sequence[Row]) -> float | None:
     """Share of the cases without outsiders whose gap is at most 1.2 noise floors in the end."""
     mine = [row for row in rows if row.kind != "outsider"]

@@ -7,7 +7,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nfpde.bench.gap.score import Row
-from nfpde.bench.gap.summary import at_floor, by_effect, by_robot, by_size, confusion, figures, of_kind, rate, wilson
+from nfpde.bench.gap.summary import (
+    at_floor,
+    by_effect,
+    by_robot,
+    by_size,
+    confusion,
+    coverage,
+    figures,
+    of_kind,
+    rate,
+    wilson,
+)
 
 INTRODUCTION = (
     "Robots with a hidden fault, recorded with noisy sensors and, in two systems of three, with masses and dampings "
@@ -29,6 +40,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
             for name, target, value, n, met in figures(rows)
         ],
         "at_floor": at_floor(rows),
+        "coverage": [{"of": name, "share": share, "values": n} for name, share, n in coverage(rows)],
         "by_size": by_size(rows),
         "by_effect": by_effect(rows),
         "by_robot": by_robot(rows),
@@ -63,6 +75,8 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             f"More effects accepted than hidden: {_percent(extra)} of the cases that have one or two. "
             f"Gap at most 1.2 noise floors in the end: {_percent(at_floor(rows))} of all but outsiders. "
             f"Simulated steps in all: {steps:.3g}. Cases right: {len(rows) - len(failed)} of {len(rows)}.",
+            "",
+            f"Stated 95 % intervals hold the true value in {_coverage(rows)}.",
             "",
             "## By size of the effect over the noise",
             "",
@@ -107,6 +121,10 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             "",
         ]
     )
+
+
+def _coverage(rows: Sequence[Row]) -> str:
+    return "; in ".join(f"{_percent(share)} of {n} {name}" if n else f"no {name}" for name, share, n in coverage(rows))
 
 
 def _figure(figure: tuple[str, str, float | None, int, bool | None]) -> str:
