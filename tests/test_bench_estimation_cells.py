@@ -69,6 +69,15 @@ def test_a_cell_that_meets_everything_passes():
     assert "| pass |" in table.line(finished_cell())
 
 
+def test_a_busy_machine_makes_no_cell_slow():
+    """Whatever else runs only slows: the fastest rate of a robot on a device is that of all its cells."""
+    cells = [finished_cell(steps_per_core_second=r) for r in (2e4, 4e4)]
+    other = finished_cell(steps_per_core_second=1e3, device="cuda: single precision")
+    rates = [c["steps_per_core_second"] for c in grid._alone([*cells, other])]
+    assert rates == [4e4, 4e4, 1e3]
+    assert cells[0]["steps_per_core_second"] == 2e4
+
+
 def test_a_failure_names_the_parameter_that_the_recordings_do_not_tell():
     """The reason gives the parameter's share of the squared error and the episodes that hardly show it."""
     content = finished_cell()

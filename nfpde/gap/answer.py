@@ -13,6 +13,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import LINEAR, Effect, slides
 from nfpde.elements import element_names
 from nfpde.gap.accepted import Accepted, key
+from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
@@ -137,7 +138,21 @@ class Outcome:
         noise = np.concatenate([draw[..., i] for i in (count - 1, 2 * count - 1)], axis=1)
         return distance(base.replay.sim.states, held, ends, noise)
 
-    def cause(self, effect: Effect, fit: Fit, before: Trial, after: Trial) -> Cause:
+    @cached_property
+    def explained(self) -> Trial:
+        """What was found on the windows on which it was explained."""
+        return self.final if self.near is self.stage else self.near.shown(self.final, refitted=False)
+
+    @cached_property
+    def errors(self) -> Array:
+        """Standard errors of what was found (D,)."""
+        return standard_errors(self.near.court, self.explained.fit)
+
+    def errors_of(self, trial: Trial) -> Array:
+        """Standard errors of another model's parameters (D,), on the same windows: contacts tear long ones apart."""
+        return standard_errors(self.near.court, self.near.shown(trial, refitted=False).fit)
+
+    def cause(self, effect: Effect, fit: Fit, errors: Array, before: Trial, after: Trial) -> Cause:
         """An effect as it stands in a fit; `before` and `after` are the models without and with it."""
         index = [key(e) for e in fit.replay.effects].index(key(effect))
         block = self.recordings.block
@@ -145,7 +160,7 @@ class Outcome:
         shrink, low, high = shrink_interval(gaps[0], gaps[1], block, self.seed)
         gain, error, _ = self.selection.court.gain(after, before)
         columns = fit.replay.columns(index)
-        values = _fitted(fit, columns, [q.name for q in effect.quantities])
+        values = _fitted(fit, errors, columns, [q.name for q in effect.quantities])
         if slides(self.selection.model, effect):
             values = {n: replace(v, unit=LINEAR.get(v.unit, v.unit)) for n, v in values.items()}
         name, target = key(effect)
@@ -158,7 +173,7 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     model = selection.model
     near = outcome.near
     court = near.court
-    left_over = final if near is outcome.stage else near.shown(final, refitted=False)
+    left_over = outcome.explained
     # what noise alone leaves, so that a gap that remains does not hide itself
     noise = near.yardstick.noise.reshape(-1, *left_over.held.shape[1:])
     quiet = learn_scatter(noise, 0, QUIET * court.floor)
@@ -172,13 +187,12 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     sound = any(not any(v.at_bound for v in cause.parameters.values()) for cause in effects)
     verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), named=bool(effects), sound=sound)
     force = describe(left, model, near.recordings.held) if verdict == "unexplained" else None
-    tried = [outcome.cause(t.effect, t.fit, base, t) for t in selection.ranking if t.effect is not None]
-    ranking = sorted(tried, key=lambda c: -c.shrink)
+    ranking = sorted(_tried(outcome), key=lambda c: -c.shrink)
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     reads = _reads(model, outcome.error)
     names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
-    parameters = _fitted(final.fit, slice(0, len(names)), names)
+    parameters = _fitted(final.fit, outcome.errors, slice(0, len(names)), names)
     apart, ahead = outcome.distance(), recordings.horizons[-1] * outcome.dataset.control_dt
     for replay in {id(t.fit.replay): t.fit.replay for t in (base, final, *outcome.without)}.values():
         selection.steps += replay.sim.simulated_steps
@@ -236,7 +250,7 @@ def _verdict(gap: Level, over_floor: float, rare: float, *, named: bool, sound: 
 def _causes(outcome: Outcome) -> list[Cause]:
     out = []
     for accepted, before in zip(outcome.accepted, outcome.without, strict=True):
-        cause = outcome.cause(accepted.effect, outcome.final.fit, before, outcome.final)
+        cause = outcome.cause(accepted.effect, outcome.final.fit, outcome.errors, before, outcome.final)
         rivals = [t.effect for t in accepted.rivals if t.effect is not None]
         text = ""
         if rivals:
@@ -247,6 +261,19 @@ def _causes(outcome: Outcome) -> list[Cause]:
         others = [Rival(*key(e)) for e in rivals]
         out.append(replace(cause, indistinguishable=others, separating_experiment=text))
     return sorted(out, key=lambda c: -c.shrink)
+
+
+def _tried(outcome: Outcome) -> list[Cause]:
+    """The candidates of the first round, each as it stands beside the parameters."""
+    out, selection, own = [], outcome.selection, {id(outcome.base.fit.replay), id(outcome.final.fit.replay)}
+    for trial in selection.ranking:
+        if trial.effect is not None:
+            sim = trial.fit.replay.sim
+            begun = sim.simulated_steps
+            out.append(outcome.cause(trial.effect, trial.fit, outcome.errors_of(trial), outcome.base, trial))
+            if id(trial.fit.replay) not in own:  # those are counted in the end
+                selection.steps += sim.simulated_steps - begun
+    return out
 
 
 def _reads(model: mujoco.MjModel, error: Array) -> dict[str, str]:
@@ -264,9 +291,8 @@ def _called(effect: Effect) -> str:
     return f"{name} at {target}" if target else name
 
 
-def _fitted(fit: Fit, columns: slice, names: list[str]) -> dict[str, Fitted]:
-    replay = fit.replay
-    error = fit.standard_errors[columns]
+def _fitted(fit: Fit, errors: Array, columns: slice, names: list[str]) -> dict[str, Fitted]:
+    replay, error = fit.replay, errors[columns]
     out = {}
     for i, (name, p) in enumerate(zip(names, replay.parameters[columns], strict=True)):
         value, low, high = float(fit.xi[columns][i]), p.low, p.high

@@ -64,7 +64,7 @@ class Fit:
 
     @property
     def standard_errors(self) -> Array:
-        """Of the parameters, in their units (D,): sandwich estimate, windows taken as independent."""
+        """Of the parameters, in their units (D,), by slopes: sandwich estimate, windows taken as independent."""
         d = len(self.xi)
         if not d:
             return np.zeros(0)
@@ -145,6 +145,11 @@ class Fitter:
     def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""
         return self._residuals(replay, replay.inward(xi), force)
+
+    def costs(self, replay: Replay, u: Array, scatter: Scatter) -> Array:
+        """Negative log posteriors (G,) [nats] at shares of the bounds (G, D)."""
+        residuals = self._residuals(replay, u)
+        return np.array([self._cost(row, r, scatter) for row, r in zip(u, residuals, strict=True)])
 
     def rescale(self, fit: Fit, scatter: Scatter) -> Fit:
         """The same place, counted with another scatter."""

@@ -124,9 +124,9 @@ def _explanation() -> list[str]:
         "parameters and with the true noise, prior included), every transition taken as measured anew. `whole`: in the "
         "bound of all estimates there can be; it is sharper, because a measured state ends one transition and starts "
         "the next, so that neighbours share its error. `error / std`: in the fit's own standard deviations. "
-        "`two cores`: simulated steps over the steps that two cores make in a second when nothing else runs; in "
-        "brackets the paper's time on a graphics card (Table III). CPU s: of both cores together, everything "
-        "included.",
+        "`two cores`: simulated steps over the steps that two cores make in a second when nothing else runs (the most "
+        "that any cell of the robot has measured); in brackets the paper's time on a graphics card (Table III). CPU s: "
+        "of both cores together, everything included.",
         "",
         f"Wanted: without noise `ratio` at most {limits}, and fewer steps than softmax; with noise `error / bound` at "
         f"most {OVER_BOUND:g}, for single transitions (`bound`) and for whole episodes (`whole`), and never farther "

@@ -1,0 +1,91 @@
+"""How well values are known: on straight problems what slopes say, on rough ones what estimates really scatter by."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nfpde.gap.certainty import standard_errors
+from nfpde.gap.fit import PRIOR, Fitter
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.replay import Replay
+from nfpde.gap.trial import Court
+
+WINDOWS = 60
+ANYTHING: Any = None
+
+
+class Bumpy(Replay):
+    """Residuals A xi - b (two degrees of freedom of four channels) that jump whenever a parameter enters a new cell.
+
+    Both halves of the recordings have an A and a b of their own; which, the windows say: 0 or 1.
+    """
+
+    effects = ()
+
+    def __init__(self, halves, jumps, cell, seed):
+        self.halves, self.jumps, self.cell, self.seed = halves, jumps, cell, seed
+        self.low, self.high = np.full(2, -4.0), np.full(2, 5.0)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        half: Any = windows
+        matrix, target = self.halves[half]
+        jumps = [self._jump(row, half, len(target)) for row in xi]
+        return (xi @ matrix.T - target + self.jumps * np.array(jumps)).reshape(len(xi), -1, 2, 4)
+
+    def _jump(self, row, half, size):
+        cells = np.floor((row + 4.0) / self.cell).astype(int)
+        drawn = [np.random.default_rng([self.seed, half, i, c]).normal(size=size) for i, c in enumerate(cells)]
+        return np.sum(drawn, axis=0)
+
+
+def fitted(seed, jumps=0.0, cell=1e-3, slopes=(1.0, 1.0)):
+    """A court and the fit to one half; the truth is 0.5 for both parameters, noise is 1."""
+    rng = np.random.default_rng(seed)
+    floor = np.full((2, 4), 1e-3)
+    scatter = learn_scatter(rng.normal(size=(4000, 2, 4)), 0, floor)
+    halves = []
+    for _ in range(2):
+        a = rng.normal(size=(WINDOWS * 8, 2)) * slopes
+        halves.append((a, a @ [0.5, 0.5] + rng.normal(size=len(a))))
+    replay = Bumpy(halves, jumps, cell, seed)
+    first: Any = 0
+    second: Any = 1
+    fitter = Fitter(first, (1, 2))
+    fit = fitter.improve(fitter.start(replay, np.array([[0.45, 0.55]]), scatter), 10)
+    return Court(ANYTHING, fitter, Fitter(second, (1, 2)), floor, fit.xi), fitter.linearise(fit)
+
+
+def test_where_nothing_jumps_slopes_are_right():
+    """Never less than they foretell, and more only as far as the other half knows less, by chance."""
+    for seed in range(10):
+        court, fit = fitted(seed)
+        ratio = standard_errors(court, fit) / fit.standard_errors
+        assert (ratio >= 1.0).all()
+        assert ratio == pytest.approx(1.0, abs=0.3)  # the sandwich's own error is 10 %, that of the slopes 7 %
+
+
+@pytest.mark.parametrize(("jumps", "cell"), [(0.15, 2e-3), (0.05, 2e-3), (0.15, 2e-2), (0.3, 5e-3)])
+def test_where_it_jumps_errors_are_no_larger_than_they_say(jumps, cell):
+    """Slopes of one cell say nothing of the next: by them estimates are a dozen standard errors off and more.
+
+    Fits end in the first pit that holds them, and how far from the truth that is depends on where they began; so the
+    errors may be smaller than stated, but not by another order of magnitude.
+    """
+    local, stated = [], []
+    for seed in range(40):
+        court, fit = fitted(seed, jumps, cell)
+        local.append((fit.xi - 0.5) / fit.standard_errors)
+        stated.append((fit.xi - 0.5) / standard_errors(court, fit))
+    by_slopes, ratio = (float(np.sqrt(np.mean(np.square(x)))) for x in (local, stated))
+    assert by_slopes > 10.0
+    assert 0.1 < ratio < 1.0 + 4 / np.sqrt(2 * 80)  # four standard errors of a root mean square of 80 ratios
+    assert np.abs(stated).max() < 4.0
+
+
+def test_what_nothing_tells_is_known_as_well_as_the_prior():
+    """Not better, as a sandwich without any score would have it, and not worse."""
+    court, fit = fitted(0, slopes=(1.0, 0.0))
+    errors = standard_errors(court, fit) / (fit.replay.high - fit.replay.low)
+    assert errors[1] == pytest.approx(PRIOR, rel=0.05)
+    assert errors[0] < 0.02
