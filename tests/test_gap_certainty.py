@@ -83,9 +83,10 @@ def test_where_it_jumps_errors_are_no_larger_than_they_say(jumps, cell):
     assert np.abs(stated).max() < 4.0
 
 
-def test_what_nothing_tells_is_known_as_well_as_the_prior():
-    """Not better, as a sandwich without any score would have it, and not worse."""
-    court, fit = fitted(0, slopes=(1.0, 0.0))
+@pytest.mark.parametrize("slope", [1.0, 1e9])
+def test_what_nothing_tells_is_known_as_well_as_the_prior(slope):
+    """Not better, as a sandwich without any score would have it, and not worse; beside what is known exactly, too."""
+    court, fit = fitted(0, slopes=(slope, 0.0))
     errors = standard_errors(court, fit) / (fit.replay.high - fit.replay.low)
     assert errors[1] == pytest.approx(PRIOR, rel=0.05)
     assert errors[0] < 0.02

@@ -22,17 +22,20 @@ _ROUGH = 3.0
 """Roots of the likelihood for each nat of roughness. A jump to a plateau of height c misses a parabola by 3 c / 4; so
 many of these are more than 2 c, and no plateau is taken for a rise."""
 
+_FARTHER = 4
+"""Doublings for which a rise must last; those beyond are not looked at."""
+
 
 def standard_errors(court: Court, fit: Fit) -> Array:
     """Of a fit's free parameters, in their units (D,).
 
     Along the axes of the ellipsoid that slopes foretell, the cost of the held-out windows is taken at distances s that
-    double, in its standard errors, until they are the prior's. A smooth cost rises by s^2 / 2 in the mean of both
+    double, in its standard errors, at most to where the prior ends. A smooth cost rises by s^2 / 2 in the mean of both
     sides. By how much a rise misses a quarter of that at 2 s is the roughness R [nats]: the largest miss of that axis
     so far, or the root mean square at one distance of all axes of which no rise is sure there, whichever is larger. The
-    least cost lies wherever the
-    rise is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the error of an axis is where
-    that has fallen by half a nat for good. Nothing is known better than slopes foretell, nor worse than the prior.
+    least cost lies wherever the rise is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the
+    error of an axis is where that has fallen by half a nat for good. Nothing is known better than slopes foretell, nor
+    worse than the prior.
 
     Args:
         court: Of the windows that it was fitted to, and of those held out.
@@ -42,31 +45,47 @@ def standard_errors(court: Court, fit: Fit) -> Array:
     if not len(local):
         return local
     replay, u = fit.replay, fit.replay.inward(fit.xi[None])[0]
-    variances, vectors = np.linalg.eigh(np.linalg.pinv(fit.information, hermitian=True))
-    axes = (vectors * np.sqrt(np.maximum(variances, 0.0))).T
-    lengths = np.linalg.norm(axes, axis=1)
+    information, vectors = np.linalg.eigh(fit.information)
+    lengths = 1.0 / np.sqrt(np.maximum(information, PRIOR**-2))  # rounding can make it less than the prior's
+    axes = lengths[:, None] * vectors.T
     here = court.held.costs(replay, u[None], fit.scatter)[0]
 
     def rise(s: float) -> Array:
         places = np.clip(np.concatenate([u + s * axes, u - s * axes]), 0.0, 1.0)
         return court.held.costs(replay, places, fit.scatter).reshape(2, -1).mean(0) - here
 
-    widest = PRIOR / np.maximum(lengths, 1e-300)
-    scales = NEAREST * 2.0 ** np.arange(2 + max(0, int(np.log2(widest.max() / NEAREST))))
-    rises = np.array([rise(s) for s in scales])
-    misses = np.where(scales[:-1, None] < widest, np.abs(rises[:-1] - rises[1:] / 4), 0.0)
-    # the least rise from each distance on: one that is taken back farther out was a jump
-    lasting = np.minimum.accumulate(rises[::-1])[::-1][:-1]
-    alone = np.maximum.accumulate(misses)
-    told = 2 * lasting >= 1.0 + _ROUGH * alone
-    # of an axis that is told already, only how steep it is shows farther out
-    open_ = np.cumsum(told, axis=0) <= 1
-    shared = np.sqrt((misses**2 * open_).sum(1) / np.maximum(open_.sum(1), 1))
-    root = 1.0 + _ROUGH * np.maximum(alone, np.maximum.accumulate(shared)[:, None])
-    told = 2 * lasting >= root
-    first, every = told.argmax(0), np.arange(len(axes))
-    stretch = scales[first] * np.sqrt(root[first, every] / np.maximum(2 * rises[first, every], 1e-300))
-    stretch = np.where(told.any(0), np.minimum(stretch, widest), widest)
+    widest = PRIOR / lengths
+    doublings = 2 + max(0, int(np.log2(widest.max() / NEAREST)))
+    scales = np.array([NEAREST * 2.0**k for k in range(doublings)])
+    rises = np.array([rise(s) for s in scales[:2]])
+    stretch, since = _stretch(rises, scales, widest)
+    while len(rises) < len(scales) and ((since < _FARTHER) & (scales[len(rises) - 1] < widest)).any():
+        rises = np.vstack([rises, rise(scales[len(rises)])])
+        stretch, since = _stretch(rises, scales, widest)
     across = stretch[:, None] * axes
     wide = np.sqrt(((across @ replay.outward_slopes(fit.xi).T) ** 2).sum(0))
     return np.maximum(local, wide)
+
+
+def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray[np.intp]]:
+    """By how much the axes are longer than slopes foretell (D,), and for how many distances their rise has lasted (D,).
+
+    Args:
+        rises: Of the cost, at the first of the distances (S, D).
+        scales: All distances.
+        widest: Where each axis is as long as the prior's (D,).
+    """
+    count, every = len(rises) - 1, np.arange(rises.shape[1])
+    misses = np.where(scales[:count, None] < widest, np.abs(rises[:-1] - rises[1:] / 4), 0.0)
+    # the least rise from each distance on: one that is taken back farther out was a jump
+    lasting = np.minimum.accumulate(rises[::-1])[::-1][:-1]
+    alone = np.maximum.accumulate(misses)
+    sure = 2 * lasting >= 1.0 + _ROUGH * alone
+    # an axis whose rise is sure shows no more than how steep it is
+    looked_at = np.cumsum(sure, axis=0) <= 1
+    shared = np.sqrt((misses**2 * looked_at).sum(1) / np.maximum(looked_at.sum(1), 1))
+    root = 1.0 + _ROUGH * np.maximum(alone, np.maximum.accumulate(shared)[:, None])
+    told = 2 * lasting >= root
+    first, any_ = told.argmax(0), told.any(0)
+    stretch = scales[first] * np.sqrt(root[first, every] / np.maximum(2 * rises[first, every], 1e-300))
+    return np.where(any_, np.minimum(stretch, widest), widest), np.where(any_, count - first, 0)
