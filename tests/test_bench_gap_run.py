@@ -142,6 +142,13 @@ def test_a_table_goes_on_without_its_folder(stub, quick, tmp_path, monkeypatch):
         bench.run(31, out, cases=3, folder=tmp_path / "there", command=stub)
 
 
+def test_a_broken_table_is_named(stub, quick, tmp_path):
+    """Half a file is no reason to measure everything again, nor to lose it unasked."""
+    (tmp_path / "gap.json").write_text('{"seed": 31, "rows": [')
+    with pytest.raises(BadInput, match=r"gap\.json is not JSON .*; delete it, or give another folder"):
+        bench.run(31, tmp_path, cases=1, folder=tmp_path / "work", command=stub)
+
+
 def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
     """Faults and diagnosis count, names of files too; the look of tables does not."""
     monkeypatch.setattr(kept, "PACKAGE", tmp_path)

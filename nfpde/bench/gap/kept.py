@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nfpde.bench.gap.score import Row
+from nfpde.errors import BadInput
 
 PACKAGE = Path(__file__).parents[2]
 
@@ -50,10 +51,16 @@ def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
     Args:
         path: of the table's JSON file, which need not exist.
         facts: of the table to be made, see `SAME`.
+
+    Raises:
+        BadInput: the file is not what a table writes.
     """
     if not path.is_file():
         return {}
-    old = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        old = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BadInput(f"{path} is not JSON ({error}); delete it, or give another folder for the tables") from None
     if any(key not in old or old[key] != facts[key] for key in SAME):
         return {}
     # what is not finite was written as null; of these fields only the seconds may not be missing
