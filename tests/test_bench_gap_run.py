@@ -1,6 +1,7 @@
 """The benchmark from end to end, with a diagnosis that is made up."""
 
 import json
+import math
 import os
 import pathlib
 import signal
@@ -18,6 +19,7 @@ from nfpde.bench.gap import kept
 from nfpde.bench.gap import run as bench
 from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.kept import fingerprint
+from nfpde.bench.gap.score import Row
 from nfpde.bench.gap.workers import shared_cores, workers
 from nfpde.cli import app
 from nfpde.errors import BadInput
@@ -140,6 +142,17 @@ def test_a_table_goes_on_without_its_folder(stub, quick, tmp_path, monkeypatch):
     assert len([*(tmp_path / "changed" / "answers").iterdir()]) == 3
     with pytest.raises(BadInput, match=r"with code '[0-9a-f]{16}', this call has 'other'"):
         bench.run(31, out, cases=3, folder=tmp_path / "there", command=stub)
+
+
+def test_rows_are_read_as_they_were_written(tmp_path):
+    """An error without bound too, which JSON cannot hold."""
+    row = Row(
+        3, "one", "arm", ["a @ b"], [2.0], "done", errors={"x": math.inf, "y": 0.1}, inside={"x": False}, seconds=2
+    )
+    facts: dict[str, Any] = {**dict.fromkeys(kept.SAME, "same")}
+    bench._write([row], facts | {"command": "c", "machine": "m", "device": "cpu"}, tmp_path, "gap")
+    assert kept.kept_rows(tmp_path / "gap.json", facts) == {3: row}
+    assert kept.kept_rows(tmp_path / "gap.json", facts | {"limit": "other"}) == {}
 
 
 def test_a_broken_table_is_named(stub, quick, tmp_path):

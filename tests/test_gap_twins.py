@@ -109,13 +109,12 @@ def test_a_motor_that_tires_with_speed_is_looked_for_beside_a_limit():
 
 def test_what_mixtures_of_changes_can_make():
     """The share of the squares in their span; what changes nothing adds nothing."""
-    changes = np.array([[2.0, 0.0, 0.0], [1e9, 1e-2, 0.0], [0.0, 0.0, 0.0]])
-    assert share_of_mixtures(changes[:1], np.array([3.0, 4.0, 12.0])) == pytest.approx(9 / 169)
-    assert share_of_mixtures(np.eye(3)[[0, 1, 1]], np.array([3.0, 4.0, 12.0])) == pytest.approx(25 / 169)
-    assert share_of_mixtures(changes[2:], np.array([3.0, 4.0, 12.0])) == 0.0
-    assert share_of_mixtures(changes, np.array([3.0, 4.0, 12.0])) == pytest.approx(
-        9 / 169
-    )  # nearly parallel: no second direction
+    changes, wanted = np.array([[2.0, 0.0, 0.0], [1e9, 1e-2, 0.0], [0.0, 0.0, 0.0]]), np.array([3.0, 4.0, 12.0])
+    assert share_of_mixtures(changes[:1], wanted) == pytest.approx(9 / 169)
+    assert share_of_mixtures(np.eye(3)[[0, 1, 1]], wanted) == pytest.approx(25 / 169)
+    assert share_of_mixtures(changes[2:], wanted) == 0.0
+    # nearly parallel ones have no second direction
+    assert share_of_mixtures(changes, wanted) == pytest.approx(9 / 169)
 
 
 @pytest.mark.parametrize(("sigma", "left", "asks"), [(None, 1.0, False), (None, 9.0, True), (np.ones(2), 1.0, True)])

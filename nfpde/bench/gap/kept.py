@@ -18,11 +18,8 @@ PACKAGE = Path(__file__).parents[2]
 NO_PART = ("bench", "cli", "rl")
 """Folders of the package without influence on what a diagnosis answers."""
 
-DRAWS_AND_JUDGES = (
-    *("cases.py", "catalog.py", "draw.py", "excite.py", "key.py", "nominal.py", "pilot.py", "plant.py", "record.py"),
-    *("robots.py", "score.py", "sizes.py", "store.py", "faults", "models"),
-)
-"""Here: what decides about the systems, and about what is right."""
+SHOWS = ("__init__.py", "curve.py", "kept.py", "run.py", "summary.py", "table.py", "workers.py")
+"""Here: what shows answers, or has them made. All else decides about the systems, and about what is right."""
 
 SAME = ("seed", "limit", "diagnosis", "versions", "code")
 """Facts that two tables must share if a row of one is to stand in the other."""
@@ -40,7 +37,7 @@ def fingerprint() -> str:
 
 def _counts(path: Path) -> bool:
     parts = path.relative_to(PACKAGE).parts
-    return parts[0] not in NO_PART or (parts[:2] == ("bench", "gap") and parts[2] in DRAWS_AND_JUDGES)
+    return parts[0] not in NO_PART or (parts[:2] == ("bench", "gap") and parts[2] not in SHOWS)
 
 
 def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
@@ -63,6 +60,9 @@ def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
         raise BadInput(f"{path} is not JSON ({error}); delete it, or give another folder for the tables") from None
     if any(key not in old or old[key] != facts[key] for key in SAME):
         return {}
-    # what is not finite was written as null; of these fields only the seconds may not be missing
-    rows = [Row(**row | {"seconds": math.nan if row["seconds"] is None else row["seconds"]}) for row in old["rows"]]
-    return {row.index: row for row in rows}
+    return {row["index"]: _read(row) for row in old["rows"]}
+
+
+def _read(row: Mapping[str, Any]) -> Row:
+    """A row as it was before what is not finite became null: the error of a value that nothing was said of."""
+    return Row(**{**row, "errors": {name: math.inf if e is None else e for name, e in row["errors"].items()}})
