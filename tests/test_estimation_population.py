@@ -13,7 +13,7 @@ from nfpde.estimation.trajectory import LocalPosterior, make_problem
 from nfpde.estimation.trajectory.compete import SMOOTHED, Candidate, Competition
 from nfpde.estimation.trajectory.em import fit_mixture, spread_out
 from nfpde.estimation.trajectory.gaussians import Gaussians, joined
-from nfpde.estimation.trajectory.likelihood import Quadratic, without_rounding
+from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.pool import Pool, Ratios, box_log_density, effective
 from nfpde.estimation.trajectory.sampling import corrected, local_proposal, temperature
@@ -40,16 +40,44 @@ def test_density_of_a_mixture_is_scipys():
     np.testing.assert_allclose(g.log_density(z), np.asarray(logsumexp(parts, axis=0)), rtol=1e-10)
 
 
+def moments_of(g):
+    mean = g.weights @ g.means
+    steps = g.means - mean
+    return mean, np.einsum("k,kij->ij", g.weights, g.covariances) + (steps.T * g.weights) @ steps
+
+
 def test_draws_have_the_moments_of_the_mixture():
     """Mean and covariance of 20 000 draws, to five standard errors of their largest entry."""
     rng = np.random.default_rng(1)
     g = some_gaussians(rng)
     z = g.sample(20_000, rng)
-    mean = g.weights @ g.means
-    steps = g.means - mean
-    covariance = np.einsum("k,kij->ij", g.weights, g.covariances) + np.einsum("k,ki,kj->ij", g.weights, steps, steps)
+    mean, covariance = moments_of(g)
     np.testing.assert_allclose(z.mean(0), mean, atol=5 * np.sqrt(covariance.max() / 20_000))
     np.testing.assert_allclose(np.cov(z.T), covariance, atol=5 * 2 * covariance.max() / np.sqrt(20_000))
+
+
+@pytest.mark.parametrize("most", [1, 4, 12])
+def test_a_reduced_mixture_keeps_its_moments(most):
+    """Also where two components are the same; those that are light are left out first."""
+    rng = np.random.default_rng(20)
+    g = some_gaussians(rng, k=12, d=3)
+    twice = Gaussians(g.weights, g.means[[0, 0, *range(2, 12)]], g.covariances)
+    reduced = twice.reduced(most)
+    assert len(reduced.weights) <= most
+    np.testing.assert_allclose(reduced.weights.sum(), 1.0)
+    for found, wanted in zip(moments_of(reduced), moments_of(twice), strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-12)
+    np.testing.assert_array_equal(twice.reduced(most, 0.1).weights, twice.heaviest(12, 0.1).reduced(most).weights)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_mode_is_where_a_fine_grid_has_its_maximum(seed):
+    g = some_gaussians(np.random.default_rng(seed))
+    centre = g.means[int(g.log_density(g.means).argmax())]
+    axes = np.linspace(-1, 1, 401)
+    grid = centre + np.stack(np.meshgrid(axes, axes), -1).reshape(-1, 2)
+    highest = grid[int(g.log_density(grid).argmax())]
+    assert g.log_density(g.mode()[None]) > g.log_density(highest[None]) - 1e-4
 
 
 def test_posterior_with_a_population_for_prior_is_bayes_rule():
@@ -66,18 +94,6 @@ def test_posterior_with_a_population_for_prior_is_bayes_rule():
     exact = np.exp(logs - np.asarray(logsumexp(logs))) / (axis[1] - axis[0]) ** 2
     # sums over a grid far finer than anything in the integrand are exact to rounding
     np.testing.assert_allclose(np.exp(quadratic.times(population).log_density(grid)), exact, atol=1e-9)
-
-
-def test_rounding_errors_are_no_information():
-    """A flat direction beside one that is 1e18 times sharper stays flat."""
-    direction = np.array([3.0, 4.0, 0.0]) / 5
-    sharp = 1e18 * np.outer(direction, direction)
-    noisy = sharp + np.diag([0.0, 0.0, 0.5])
-    cleaned = without_rounding(noisy)
-    flat = np.array([4.0, -3.0, 0.0]) / 5
-    assert flat @ cleaned @ flat < 1e-6 * 1e18
-    assert np.linalg.eigvalsh(cleaned / 1e18).min() > -1e-15
-    np.testing.assert_allclose(cleaned[2, 2], 0.5, rtol=1e-9)
 
 
 def test_evidence_is_the_integral_over_the_population():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.em import fit_mixture, spread_out
 from nfpde.estimation.trajectory.gaussians import Gaussians
+from nfpde.estimation.trajectory.information import inverse
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.pool import Ratios
@@ -85,6 +86,7 @@ class Competition:
 
 def compete(
     posteriors: Sequence[LocalPosterior],
+    chains: Sequence[LocalPosterior],
     quadratics: Sequence[Quadratic],
     ratios: Ratios,
     smoothing: Array,
@@ -94,6 +96,7 @@ def compete(
 
     Args:
         posteriors: of two robots or more, with the uniform prior.
+        chains: the same along their ridges, see `along_ridges`.
         quadratics: their likelihoods.
         ratios: what their recordings say.
         smoothing: covariance of the kernel with which the robots' posteriors predict others best, (D, D): see
@@ -104,20 +107,23 @@ def compete(
     fold = np.arange(robots) % min(robots, FOLDS)
     best = np.array([p.means[0] for p in posteriors])
     spread = np.sqrt(np.maximum(best.var(0, ddof=1), 1e-12))
-    fitters: dict[str, Fitter] = {SMOOTHED: lambda own: Kernels.of([posteriors[g] for g in own], smoothing).mixture()}
+    blind = untold(posteriors, spread)
+    # so many straight ones that none of them matters
+    shapes = chains if robots <= MOST_KERNELS else posteriors
+    fitters: dict[str, Fitter] = {SMOOTHED: lambda own: _kernels(posteriors, shapes, own, smoothing).mixture()}
     if robots <= MOST_KERNELS:
         fitters[f"{SMOOTHED}, each informed by the others"] = partial(
-            _informed, posteriors, quadratics, smoothing=smoothing
+            informed_kernels, posteriors, shapes, quadratics, smoothing=smoothing
         )
         for width in KERNELS:
             kernel = np.diag((width * spread) ** 2)
             fitters[f"a Gaussian for every robot, {width:g} of their spread wide"] = partial(
-                _informed, posteriors, quadratics, smoothing=kernel
+                informed_kernels, posteriors, shapes, quadratics, smoothing=kernel
             )
     least = robots - int((fold == 0).sum())
     for k in COMPONENTS:
         for width in WIDTHS if k > 1 else (1.0,):
-            prior = np.diag((width * spread) ** 2)
+            prior = np.diag((width * spread) ** 2) + blind
             for tied in (True, False):
                 # a covariance of its own asks for more robots than numbers in it
                 if k > least if tied else (k == 1 or 2 * k * len(spread) > least):
@@ -137,26 +143,48 @@ def compete(
     return Competition(candidates, fold)
 
 
+def untold(posteriors: Sequence[LocalPosterior], spread: Array) -> Array:
+    """What all recordings together leave wider than the robots' modes lie apart, (D, D); zeros where they tell.
+
+    Modes say nothing of how robots differ where no recording tells: there they all lie where the bounds' density is
+    highest. A population begun as narrow as that would stay so, as no likelihood objects; it keeps the bounds' width.
+
+    Args:
+        posteriors: of the robots, with the uniform prior.
+        spread: standard deviations of their modes, (D,).
+
+    Returns:
+        The covariance of a robot that tells as much as all do on average, less diag(spread^2), where it is larger.
+    """
+    information = np.mean([inverse(p.covariances[0]) for p in posteriors], axis=0)
+    excess, directions = np.linalg.eigh(inverse(information) / np.outer(spread, spread))
+    return (directions * np.maximum(excess - 1, 0)) @ directions.T * np.outer(spread, spread)
+
+
 def informed_kernels(
-    posteriors: Sequence[LocalPosterior], quadratics: Sequence[Quadratic], robots: Index, smoothing: Array
+    posteriors: Sequence[LocalPosterior],
+    shapes: Sequence[LocalPosterior],
+    quadratics: Sequence[Quadratic],
+    robots: Index,
+    smoothing: Array,
 ) -> Gaussians:
     """`Kernels` of posteriors that the population of the other robots informs, again and again.
 
     It is expectation-maximisation with a smoothed maximisation step (Silverman, Jones, Wilson, Nychka, A smoothed EM
     approach to indirect estimation problems, 1990), each robot being left out of its own prior.
     """
-    kernels = Kernels.of([posteriors[g] for g in robots], smoothing)
+    kernels = _kernels(posteriors, shapes, robots, smoothing)
     if len(robots) > 1:
         for _ in range(3):
-            informed = [quadratics[g].times(kernels.mixture(without=i)).heaviest(8, 1e-3) for i, g in enumerate(robots)]
+            informed = [quadratics[g].times(kernels.mixture(without=i)).reduced(8, 1e-3) for i, g in enumerate(robots)]
             kernels = Kernels.of(informed, smoothing)
     return kernels.mixture()
 
 
-def _informed(
-    posteriors: Sequence[LocalPosterior], quadratics: Sequence[Quadratic], robots: Index, *, smoothing: Array
-) -> Gaussians:
-    return informed_kernels(posteriors, quadratics, robots, smoothing)
+def _kernels(
+    posteriors: Sequence[LocalPosterior], shapes: Sequence[LocalPosterior], robots: Index, smoothing: Array
+) -> Kernels:
+    return Kernels.of([posteriors[g] for g in robots], smoothing, [shapes[g] for g in robots])
 
 
 def _mixture(

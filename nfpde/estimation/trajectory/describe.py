@@ -11,6 +11,7 @@ from scipy.special import log_expit
 
 from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge
+from nfpde.estimation.trajectory.information import standard_errors
 from nfpde.estimation.trajectory.informing import PopulationEstimator
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.flow import GaussianMixture
@@ -80,8 +81,8 @@ def _parameters(
     density = GaussianMixture(*(torch.from_numpy(a) for a in (final.weights, final.means, final.covariances)))
     xi = space.to_physical(density.sample(SAMPLES, torch.Generator().manual_seed(0)).numpy())
     low, high = np.quantile(xi, (0.05, 0.95), axis=0)
-    best = space.to_physical(final.means[int(final.weights.argmax())])
-    bound = _standard_errors(fisher) * np.exp(_log_slope(space, mode))
+    best = space.to_physical(final.mode())
+    bound = standard_errors(fisher) * np.exp(_log_slope(space, mode))
     table = {}
     for i, parameter in enumerate(space):
         std, prior = float(xi[:, i].std()), UNIFORM_STD * float(space.width[i])
@@ -105,12 +106,3 @@ def _parameters(
 def _log_slope(space: ParameterSpace, z: Array) -> Array:
     """Log of d xi / d z for every parameter, (D,)."""
     return np.log(space.width) + log_expit(z) + log_expit(-z)
-
-
-def _standard_errors(information: Array) -> Array:
-    """Square roots of the diagonal of the inverse; infinite where a direction without information takes part."""
-    values, vectors = np.linalg.eigh(information)
-    blind = values <= 1e-12 * max(float(values[-1]), 1e-300)
-    inverse = np.where(blind, 0.0, 1.0 / np.where(blind, 1.0, values))
-    variance = (vectors**2 * inverse).sum(1)
-    return np.where(((vectors**2)[:, blind] > 1e-6).any(1), np.inf, np.sqrt(variance))

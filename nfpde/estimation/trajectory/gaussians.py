@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from nfpde.estimation.trajectory.information import inverse
+
 Array = NDArray[np.float64]
+
+CLIMBS = 100
+"""Steps to a mode at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +52,54 @@ class Gaussians:
         noise = rng.standard_normal((n, self.means.shape[1]))
         return self.means[k] + np.einsum("nij,nj->ni", np.linalg.cholesky(self.covariances)[k], noise)
 
+    def mode(self) -> Array:
+        """Where the density is highest, (D,): from the best of the centres, uphill until it moves no more.
+
+        A fixed-point iteration: where the gradient is zero, a place is the mean of the centres, weighted by their
+        densities there and inverse covariances (Carreira-Perpinan, Mode-finding for mixtures of Gaussian distributions,
+        IEEE Transactions on Pattern Analysis and Machine Intelligence 22, 2000).
+        """
+        z = self.means[int(self.log_density(self.means).argmax())]
+        concentrations = inverse(self.covariances)
+        pull = np.einsum("kij,kj->ki", concentrations, self.means)
+        for _ in range(CLIMBS):
+            terms = self.log_terms(z[None])[0]
+            share = np.exp(terms - terms.max())
+            matrix = np.tensordot(share, concentrations, 1)
+            step = np.linalg.solve(matrix, share @ pull) - z
+            z = z + step
+            if step @ matrix @ step < 1e-6 * share.sum():
+                break
+        return z
+
     def heaviest(self, most: int, least: float = 0.0) -> Gaussians:
         """Its components of at least the weight `least`, `most` at most, heaviest first, with weights of sum 1."""
         order = np.argsort(-self.weights, kind="stable")[:most]
         order = order[(self.weights[order] >= least) | (np.arange(len(order)) == 0)]
         weights = self.weights[order]
         return Gaussians(weights / weights.sum(), self.means[order], self.covariances[order])
+
+    def reduced(self, most: int, least: float = 0.0) -> Gaussians:
+        """As many components as `heaviest` at most, each with those closer to it than to the others merged into it.
+
+        Mean and covariance stay (but for components below the weight `least`), where leaving out the lighter ones of
+        many that overlap would take away the ends.
+        """
+        kept = self.heaviest(len(self.weights), least)
+        if len(kept.weights) <= most:
+            return kept
+        middle = kept.weights @ kept.means
+        off = kept.means - middle
+        total = np.einsum("k,kij->ij", kept.weights, kept.covariances) + (off.T * kept.weights) @ off
+        white = np.linalg.solve(np.linalg.cholesky(total), off.T).T
+        chosen, nearest = np.unique(((white[:, None] - white[:most]) ** 2).sum(2).argmin(1), return_inverse=True)
+        member = (nearest == np.arange(len(chosen))[:, None]) * kept.weights
+        weights = member.sum(1)
+        share = member / weights[:, None]
+        means = share @ kept.means
+        off = kept.means - means[nearest]
+        scatter = kept.covariances + off[:, :, None] * off[:, None]
+        return Gaussians(weights, means, np.einsum("mk,kij->mij", share, scatter))
 
 
 def joined(parts: list[Gaussians], shares: Array) -> Gaussians:

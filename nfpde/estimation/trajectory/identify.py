@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from nfpde.estimation.trajectory.information import inverse
 from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
@@ -46,10 +47,8 @@ class Knowledge:
         # in widths of the bounds, so that all parameters have the same prior
         slope = np.maximum(share * (1 - share), 1e-12)
         information = fisher / np.outer(slope, slope) + np.eye(len(z)) / UNIFORM_STD**2
-        scale = np.sqrt(np.diag(information))
-        covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
         width = space.width
-        return cls(space, space.to_physical(z), 0.5 * (covariance + covariance.T) * np.outer(width, width))
+        return cls(space, space.to_physical(z), inverse(information) * np.outer(width, width))
 
     @property
     def std(self) -> Array:
@@ -102,7 +101,7 @@ class Knowledge:
         """
         scale = self.space.width
         covariance = self.covariance / np.outer(scale, scale)
-        members = np.flatnonzero(np.diag(covariance) * np.diag(np.linalg.inv(covariance)) > 1 / (1 - TIED**2))
+        members = np.flatnonzero(np.diag(covariance) * np.diag(inverse(covariance)) > 1 / (1 - TIED**2))
         if len(members) < 3:
             return ""
         v = np.linalg.eigh(covariance[np.ix_(members, members)])[1][:, 0]

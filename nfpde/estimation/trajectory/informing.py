@@ -20,6 +20,7 @@ from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.pool import Pool, Ratios
 from nfpde.estimation.trajectory.population import smoothing_matrix
 from nfpde.estimation.trajectory.problem import Problem
+from nfpde.estimation.trajectory.ridges import along_ridges
 from nfpde.estimation.trajectory.sampling import (
     MOST,
     corrected,
@@ -59,7 +60,8 @@ class PopulationEstimator:
 
     def __post_init__(self) -> None:
         self.robots, self.features = len(self.posteriors), self.posteriors[0].means.shape[1]
-        self.quadratics = [Quadratic.of(p) for p in self.posteriors]
+        self.chains = along_ridges(self.problem, self.noise, self.posteriors)
+        self.quadratics = [Quadratic.of(p) for p in self.chains]
         self.smoothing, _ = smoothing_matrix(self.posteriors)
         self.rng = np.random.default_rng([self.seed, 1])
         self.pool = Pool.empty(self.robots, self.features)
@@ -131,12 +133,12 @@ class PopulationEstimator:
         ratios, competition, found = self.ratios, self.competition, []
         if ratios is None:
             raise RuntimeError("call step first")
-        for g, p in enumerate(self.posteriors):
+        for g, p in enumerate(self.chains):
             analytic = Gaussians(p.weights, p.means, p.covariances).heaviest(MOST, 1e-3)
             weights = ratios.box_weights(g)
             if self.informs and competition is not None:
                 others = competition.others_of(g)
-                analytic = self.quadratics[g].times(others).heaviest(MOST, 1e-3)
+                analytic = self.quadratics[g].times(others).reduced(MOST, 1e-3)
                 weights = ratios.weights(g, others)
             found.append(corrected(analytic, ratios.z[g], weights) if ratios.sampled[g] else analytic)
         return found
@@ -161,7 +163,9 @@ class PopulationEstimator:
     def _weigh(self) -> None:
         self.ratios = self.pool.ratios(self.quadratics, self.least)
         if self.robots > 1:
-            self.competition = compete(self.posteriors, self.quadratics, self.ratios, self.smoothing, self.among)
+            self.competition = compete(
+                self.posteriors, self.chains, self.quadratics, self.ratios, self.smoothing, self.among
+            )
 
     def _temperatures(self) -> list[float]:
         return [
@@ -172,9 +176,9 @@ class PopulationEstimator:
     def _proposals(self) -> list[Gaussians]:
         ratios, competition = self.ratios, self.competition
         if ratios is None:
-            return [local_proposal(p) for p in self.posteriors]
+            return [local_proposal(p) for p in self.chains]
         proposals = []
-        for g, p in enumerate(self.posteriors):
+        for g, p in enumerate(self.chains):
             if not ratios.sampled[g]:
                 logs = self.pool.log_likelihood[g] - self.pool.log_proposal(g)
                 exponent = temperature(logs, self.pool.z[g], self.least)
@@ -183,6 +187,6 @@ class PopulationEstimator:
                 proposals.append(local_proposal(p))
             else:
                 others = competition.others_of(g)
-                informed = self.quadratics[g].times(others).heaviest(MOST, 1e-3)
+                informed = self.quadratics[g].times(others).reduced(MOST, 1e-3)
                 proposals.append(next_proposal(informed, p, others))
         return proposals

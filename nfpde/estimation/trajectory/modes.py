@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
+from nfpde.estimation.trajectory.information import inverse, without_rounding
 from nfpde.estimation.trajectory.levenberg import SAME, Candidates, apart
 
 Array = NDArray[np.float64]
@@ -52,9 +54,11 @@ def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
     for g in range(robots):
         own = np.flatnonzero(c.robot == g)
         own = own[np.argsort(c.cost[own], kind="stable")]
-        covariances = np.linalg.inv(c.information[own])
-        covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
+        fisher = np.stack([without_rounding(f) for f in c.data_information[own]])
+        share = expit(c.z[own])
+        prior = np.eye(share.shape[1]) * (2 * share * (1 - share))[:, None]
+        covariances = inverse(fisher + prior)
         evidence = -0.5 * c.cost[own] + 0.5 * np.linalg.slogdet(covariances)[1]
         weights = np.exp(evidence - evidence.max())
-        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, c.data_information[own]))
+        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, fisher))
     return result

@@ -35,9 +35,9 @@ class Kernels:
     of the posteriors without smoothing and never more than with it alone. Robots are near each other as much as their
     smoothed posteriors overlap, in the geometric mean over the parameters, and s and v_i are sums over the parameters,
     in units of the smoothed posterior's variances: a parameter that the recordings leave unknown has no part in either.
-    All modes of a robot move by as much as its first.
+    All Gaussians of a robot move by as much as the first of its posterior.
 
-    robots: what is known of each, the best mode first
+    robots: what is known of each
     smoothing: covariance of the kernel                                    (D, D)
     places: of the first modes                                             (G, D)
     widths: variances of the first modes, smoothed                         (G, D)
@@ -51,14 +51,25 @@ class Kernels:
     nearness: Array
 
     @classmethod
-    def of(cls, robots: Sequence[LocalPosterior | Gaussians], smoothing: Array) -> Kernels:
-        """Around one robot or more; its cost grows with their number squared."""
+    def of(
+        cls,
+        robots: Sequence[LocalPosterior | Gaussians],
+        smoothing: Array,
+        shapes: Sequence[LocalPosterior | Gaussians] | None = None,
+    ) -> Kernels:
+        """Around one robot or more; its cost grows with their number squared.
+
+        Args:
+            robots: posteriors, whose first Gaussians say where the robots are and what is known of them.
+            smoothing: covariance of the kernel, (D, D).
+            shapes: the same posteriors in more detail, of which the population is made; None for `robots` themselves.
+        """
         places = np.array([r.means[0] for r in robots])
         widths = np.diag(smoothing) + np.array([np.diag(r.covariances[0]) for r in robots])
         squares = np.zeros((len(robots),) * 2)
         for place, width in zip(places.T, widths.T, strict=True):
             squares += (place[:, None] - place) ** 2 / (width[:, None] + width)
-        return cls(robots, smoothing, places, widths, np.exp(-0.5 * squares / places.shape[1]))
+        return cls(shapes or robots, smoothing, places, widths, np.exp(-0.5 * squares / places.shape[1]))
 
     def mixture(self, without: int | None = None) -> Gaussians:
         """The population; without one robot it is that of all others, as if it had never been there."""

@@ -1,0 +1,87 @@
+"""Robots of which only a sum is told: posteriors along the whole ridge, and populations as wide as the bounds."""
+
+import numpy as np
+import pytest
+import torch
+
+import nfpde
+from nfpde.estimation.trajectory.ridges import along_ridges
+from tests.linear_robots import DT, SPACE, both_stages, linear_simulator, moments
+
+torch.set_num_threads(1)
+
+ROWS = 30
+
+
+def summed(n):
+    """A simulator of whose n parameters only the sum acts: x' = x + dt sum(xi)."""
+    space = nfpde.ParameterSpace([nfpde.Parameter(f"part_{i}", low=-10.0, high=10.0) for i in range(n)])
+    return nfpde.CallableSimulator(lambda x, u, xi: x + DT * xi.sum(1, keepdims=True), space, positions=["x"])
+
+
+def recorded(name, total, noise, rng):
+    """A recording of a robot whose parameters sum up to `total`."""
+    x = DT * total * np.arange(ROWS)[:, None] + rng.normal()
+    x = x + noise * rng.normal(size=x.shape)
+    return nfpde.Episode(name, DT * np.arange(ROWS), x, np.empty((ROWS, 0)), np.ones((ROWS, 1)))
+
+
+def spread_of_parts(n, total, rng):
+    """Standard deviation of a part, uniform in the bounds, of a known sum: the last is what the others leave."""
+    parts = rng.uniform(-10, 10, (400_000, n - 1))
+    last = total - parts.sum(1)
+    return float(parts[np.abs(last) <= 10, 0].std())
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.1])
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_one_robot_is_as_wide_as_its_ridge(n, noise):
+    """The posterior of the parts, whatever the noise of the sum; Gaussians in z have less than all of the ends."""
+    rng = np.random.default_rng(n)
+    result = nfpde.fit(summed(n), nfpde.Dataset([recorded("a", 2.0, noise, rng)]), quiet=True)
+    xi = result.distribution.sample(4000)
+    exact = spread_of_parts(n, 2.0, rng)
+    assert (0.65 * exact < xi.std(0)).all()
+    assert (xi.std(0) < 1.2 * exact).all()
+    # eight straight links leave what bends in n - 1 directions, by far less than the bounds leave the sum
+    assert xi.sum(1).std() < (0.03 if n == 2 else 0.2) * np.sqrt(n) * 20 / np.sqrt(12)
+    np.testing.assert_allclose(xi.sum(1).mean(), 2.0, atol=0.5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.1])
+@pytest.mark.parametrize("robots", [4, 12])
+def test_a_population_is_as_wide_as_the_bounds_where_no_robot_tells(robots, noise):
+    rng = np.random.default_rng(robots)
+    totals = 1.0 + rng.normal(size=robots)
+    dataset = nfpde.Dataset([recorded(f"{i}", s, noise, rng) for i, s in enumerate(totals)])
+    result = nfpde.fit(summed(2), dataset, quiet=True)
+    xi = result.distribution.sample(4000)
+    exact = spread_of_parts(2, 1.0, rng)
+    # where few Gaussians predict the sum better, they are not as long
+    assert (0.4 * exact < xi.std(0)).all()
+    assert (xi.std(0) < 1.2 * exact).all()
+    # smoothing may widen, and so may the bend
+    assert 0.5 * totals.std() < xi.sum(1).std() < 2 * totals.std()
+    for robot in result.info["robots"]:
+        assert len(robot["combinations"]) == 1
+        assert all(p["known"] < 0.3 for p in robot["parameters"].values())
+
+
+def test_whoever_is_told_stays_as_it_was():
+    """Robots that tell both parameters, and one that tells the first only, for which there is nothing to bend."""
+    rng = np.random.default_rng(3)
+    _, together = both_stages(linear_simulator(), nfpde.Dataset(moments("a", (2.0, -1.0), rng, 20, 0.02)))
+    assert along_ridges(together.problem, together.noise, together.posteriors)[0] is together.posteriors[0]
+
+
+def test_links_are_on_the_ridge():
+    """They lie where the sum is right, from bound to bound, and have together the weight of the posterior."""
+    rng = np.random.default_rng(4)
+    episode = recorded("a", 2.0, 1e-3, rng)
+    _, together = both_stages(summed(2), nfpde.Dataset([episode]))
+    (chain,) = together.chains
+    assert len(chain.weights) > 3
+    xi = SPACE.to_physical(chain.means)
+    np.testing.assert_allclose(xi.sum(1), 2.0, atol=0.01)
+    assert np.ptp(xi[:, 0]) > 10
+    np.testing.assert_allclose(chain.weights.sum(), 1.0)
