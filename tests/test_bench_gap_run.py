@@ -163,7 +163,7 @@ def test_a_broken_table_is_named(stub, quick, tmp_path):
 
 
 def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
-    """Faults and diagnosis count, names of files too; the look of tables does not."""
+    """Faults and diagnosis count, names of files too, and what they import; the look of tables does not."""
     monkeypatch.setattr(kept, "PACKAGE", tmp_path)
 
     def write(name, text):
@@ -171,11 +171,29 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
         (tmp_path / name).write_text(text)
         return kept.fingerprint.__wrapped__()
 
-    seen = [write("gap/search.py", "a"), write("gap/search.py", "b"), write("bench/gap/faults/wind.py", "a")]
-    seen += [write("bench/gap/models/sled.xml", "a"), write("kernels/new.py", "")]
-    assert len({*seen}) == 5
-    for name in ("bench/gap/table.py", "bench/ot.py", "cli/bench.py", "rl/env.py", "gap/search.pyc"):
-        assert write(name, "a") == seen[-1]
+    for name in ("flow/model.py", "flow/__init__.py", "losses.py", "ot.py"):
+        write(name, "0")
+    lazily = "def f():\n    from nfpde.losses import g, h\n"
+    seen = [write("gap/search.py", "1"), write("gap/search.py", lazily), write("bench/gap/faults/wind.py", "1")]
+    seen += [write("bench/gap/models/sled.xml", "a"), write("kernels/new.py", ""), write("losses.py", "1")]
+    seen += [write("losses.py", "from nfpde.flow import model\nimport nfpde.ot"), write("flow/model.py", "1")]
+    seen += [write("ot.py", "1")]
+    assert len({*seen}) == 9
+    for name in (
+        "bench/gap/table.py",
+        "bench/ot.py",
+        "cli/bench.py",
+        "rl/env.py",
+        "gap/search.pyc",
+        "flow/__init__.py",
+    ):
+        assert write(name, "1") == seen[-1]
+
+
+def test_the_fingerprint_has_the_diagnosis_and_not_the_fit():
+    names = {p.relative_to(kept.PACKAGE).as_posix() for p in kept.deciding()}
+    assert {"gap/answer.py", "bench/gap/score.py", "estimation/trajectory/student.py", "parameters.py"} <= names
+    assert not {"__init__.py", "bench/gap/table.py", "cli/bench.py", "estimation/fit.py", "flow/model.py"} & names
 
 
 @pytest.mark.parametrize(("bad", "words"), [({"cases": 0}, "cases"), ({"jobs": 0}, "jobs"), ({"limit": -1.0}, "limit")])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import math
@@ -15,11 +16,11 @@ from nfpde.errors import BadInput
 
 PACKAGE = Path(__file__).parents[2]
 
-NO_PART = ("bench", "cli", "rl")
-"""Folders of the package without influence on what a diagnosis answers."""
+DECIDES = ("bench/gap", "dataset", "effects", "gap", "kernels", "sim")
+"""Folders of what draws the systems, answers, and judges; files elsewhere count if one of these imports them."""
 
 SHOWS = ("__init__.py", "curve.py", "kept.py", "run.py", "summary.py", "table.py", "workers.py")
-"""Here: what shows answers, or has them made. All else decides about the systems, and about what is right."""
+"""Here: what shows answers, or has them made."""
 
 SAME = ("seed", "limit", "diagnosis", "versions", "code")
 """Facts that two tables must share if a row of one is to stand in the other."""
@@ -28,16 +29,44 @@ SAME = ("seed", "limit", "diagnosis", "versions", "code")
 @cache
 def fingerprint() -> str:
     """16 hex digits that change with the text of any file that a row depends on."""
-    files = [p for p in PACKAGE.rglob("*") if p.suffix in (".py", ".xml", ".toml") and _counts(p)]
     digest = hashlib.sha256()
-    for path in sorted(files):
+    for path in sorted(deciding()):
         digest.update(f"{path.relative_to(PACKAGE).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _counts(path: Path) -> bool:
-    parts = path.relative_to(PACKAGE).parts
-    return parts[0] not in NO_PART or (parts[:2] == ("bench", "gap") and parts[2] not in SHOWS)
+def deciding() -> set[Path]:
+    """The files that a row depends on: those of `DECIDES`, what they import, what that imports, and so on."""
+    found: set[Path] = set()
+    waiting = [p for folder in DECIDES for p in (PACKAGE / folder).rglob("*") if p.suffix in (".py", ".xml", ".toml")]
+    waiting = [p for p in waiting if p.parent != PACKAGE / "bench" / "gap" or p.name not in SHOWS]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _imports(path) if path.suffix == ".py" else []
+    return found
+
+
+def _imports(path: Path) -> list[Path]:
+    """Files of this package that a file imports by name, wherever in it; packages above them have no part."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+    return [file for name in names if name.startswith("nfpde.") and (file := _file_of(name.split(".")[1:]))]
+
+
+def _file_of(parts: list[str]) -> Path | None:
+    """The file of a module, or of the module that has the name in it."""
+    for end in (len(parts), len(parts) - 1):
+        place = PACKAGE.joinpath(*parts[:end])
+        for file in (place.with_suffix(".py"), place / "__init__.py"):
+            if end and file.is_file():
+                return file
+    return None
 
 
 def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
