@@ -60,16 +60,16 @@ def test_memory_is_bounded_without_changing_a_number(monkeypatch):
     assert parts.population.means.tolist() == whole.population.means.tolist()
 
 
-def test_hundreds_of_short_episodes():
-    """250 robots of three rows: a population as wide as the robots, from few draws each."""
+def test_a_thousand_short_episodes():
+    """Robots of three rows, some under twice the same command: a population as wide as they, from few draws each."""
     rng = np.random.default_rng(15)
-    true = np.array([3.0, -2.0]) + 0.5 * rng.normal(size=(250, 2))
+    true = np.array([3.0, -2.0]) + 0.5 * rng.normal(size=(1000, 2))
     settings = nfpde.TrajectoryConfig(starts=1, population_rounds=1)
     dataset = nfpde.Dataset([drifting(f"{i}", xi, rng, 3) for i, xi in enumerate(true)])
     result = nfpde.fit(linear_simulator(), dataset, config=settings, quiet=True)
     assert result.info["robots"][0]["sampling"]["draws"] < nfpde.TrajectoryConfig().draws
-    # five standard errors of the mean of 250; smoothing widens
-    np.testing.assert_allclose(result.distribution.mean(), true.mean(0), atol=5 * 0.5 / np.sqrt(250))
+    # five standard errors of the mean of 1000; smoothing widens
+    np.testing.assert_allclose(result.distribution.mean(), true.mean(0), atol=5 * 0.5 / np.sqrt(1000))
     assert (result.distribution.std() > 0.8 * true.std(0)).all()
     assert (result.distribution.std() < 1.5 * true.std(0)).all()
 
