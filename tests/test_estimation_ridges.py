@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import nfpde
-from nfpde.estimation.trajectory.ridges import along_ridges
+from nfpde.estimation.trajectory.ridges import _Line, along_ridges
 from tests.linear_robots import DT, SPACE, both_stages, linear_simulator, moments
 
 torch.set_num_threads(1)
@@ -85,3 +85,20 @@ def test_links_are_on_the_ridge():
     np.testing.assert_allclose(xi.sum(1), 2.0, atol=0.01)
     assert np.ptp(xi[:, 0]) > 10
     np.testing.assert_allclose(chain.weights.sum(), 1.0)
+
+
+@pytest.mark.parametrize(("links", "d", "tolerance"), [(8, 2, 0.1), (64, 3, 0.15)])
+def test_links_of_a_straight_line_are_the_gaussian_in_their_place(links, d, tolerance):
+    """A likelihood that is quadratic in z, a prior that is Gaussian: weight and covariance of all links together."""
+    rng = np.random.default_rng(d)
+    sharp = np.linalg.qr(rng.normal(size=(d, d)))[0][:, :1]
+    fisher, prior = 1e6 * sharp @ sharp.T, 0.5 * np.eye(d)
+    line = _Line.through(np.zeros(d), fisher, links)
+    assert len(line.places) == links
+    whole, own = (np.linalg.inv(fisher + prior + extra) for extra in (0, line.window))
+    height = -0.5 * np.einsum("nd,de,ne->n", line.places, fisher + prior, line.places)
+    weights = np.exp(height + line.log_share) * np.sqrt(np.linalg.det(own) / np.linalg.det(whole))
+    np.testing.assert_allclose(weights.sum(), 1.0, rtol=tolerance)
+    weights /= weights.sum()
+    together = own + (line.places.T * weights) @ line.places
+    np.testing.assert_allclose(together, whole, atol=2 * tolerance * whole.max())

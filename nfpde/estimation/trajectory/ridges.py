@@ -82,6 +82,7 @@ class _Line:
 
     @classmethod
     def through(cls, mode: Array, fisher: Array, links: int) -> _Line:
+        """Of a mode (D,) and its information (D, D), for so many links."""
         share = expit(mode)
         prior = 2 * share * (1 - share)
         scale = np.sqrt(np.maximum(prior, BOUNDS))
@@ -98,8 +99,10 @@ class _Line:
         along = vectors[:, loose] * np.sqrt(spread[loose])
         places = mode + q @ along.T / scale
         across = vectors[:, loose] / np.sqrt(spread[loose]) * np.sqrt(1 / own - 1) * scale[:, None]
-        # heights times links as wide as they are have the variance 1 if those of narrow ones have 1 - own
-        log_share = 0.5 * (1 / reach - own / (1 - own)) * (q**2).sum(1) - np.log(links) - 0.5 * k * np.log(own / reach)
+        # shares of variance 1 - own around the mode, which with the links' own make 1, over the density of the places;
+        # all links of a straight line have together the weight of the one Gaussian in their place
+        log_share = 0.5 * (1 / reach - own / (1 - own)) * (q**2).sum(1) - np.log(links)
+        log_share -= 0.5 * k * np.log(own * (1 - own) / reach)
         return cls(np.clip(places, -FARTHEST, FARTHEST), across @ across.T, log_share)
 
 
