@@ -108,7 +108,7 @@ def compete(
     best = np.array([p.means[0] for p in posteriors])
     spread = np.sqrt(np.maximum(best.var(0, ddof=1), 1e-12))
     blind = untold(posteriors, spread)
-    # so many straight ones that none of them matters
+    # chains of more robots would take more time than their bends are worth
     shapes = chains if robots <= MOST_KERNELS else posteriors
     fitters: dict[str, Fitter] = {SMOOTHED: lambda own: _kernels(posteriors, shapes, own, smoothing).mixture()}
     if robots <= MOST_KERNELS:

@@ -53,13 +53,13 @@ class Gaussians:
         return self.means[k] + np.einsum("nij,nj->ni", np.linalg.cholesky(self.covariances)[k], noise)
 
     def mode(self) -> Array:
-        """Where the density is highest, (D,): from the best of the centres, uphill until it moves no more.
+        """Where the density is highest close to the heaviest component, (D,): from its centre uphill to the top.
 
         A fixed-point iteration: where the gradient is zero, a place is the mean of the centres, weighted by their
         densities there and inverse covariances (Carreira-Perpinan, Mode-finding for mixtures of Gaussian distributions,
         IEEE Transactions on Pattern Analysis and Machine Intelligence 22, 2000).
         """
-        z = self.means[int(self.log_density(self.means).argmax())]
+        z = self.means[int(self.weights.argmax())]
         concentrations = inverse(self.covariances)
         pull = np.einsum("kij,kj->ki", concentrations, self.means)
         for _ in range(CLIMBS):

@@ -40,8 +40,8 @@ def without_rounding(information: Array) -> Array:
 def standard_errors(information: Array) -> Array:
     """Roots of the diagonal of the inverse of a matrix (D, D), (D,); infinite where a flat direction takes part."""
     size, values, vectors, flat = _scaled(information)
-    inverse = np.where(flat, 0.0, 1.0 / np.where(flat, 1.0, values))
-    variance = (vectors**2 * inverse).sum(1)
+    variances = np.where(flat, 0.0, 1.0 / np.where(flat, 1.0, values))
+    variance = (vectors**2 * variances).sum(1)
     return np.where(((vectors**2)[:, flat] > TAKES_PART).any(1), np.inf, np.sqrt(variance) / size)
 
 
