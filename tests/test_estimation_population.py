@@ -17,7 +17,7 @@ from nfpde.estimation.trajectory.gaussians import Gaussians, joined
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.pool import Pool, Ratios, box_log_density, effective
-from nfpde.estimation.trajectory.sampling import corrected, local_proposal, temperature
+from nfpde.estimation.trajectory.sampling import corrected, temperature, widened
 from nfpde.estimation.trajectory.stages import TwoStages
 from tests.linear_robots import DT, both_stages, linear_simulator, moments
 
@@ -139,7 +139,7 @@ def test_a_likelihood_too_sharp_to_sample_is_laplaces():
     """Where a handful of draws would take all the weight, the quadratic likelihood stands in, and it is said."""
     rng = np.random.default_rng(4)
     wide = LocalPosterior(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 0.5 * np.ones((1, 1, 1)))
-    proposal = local_proposal(wide)
+    proposal = widened(Gaussians(wide.weights, wide.means, wide.covariances))
     z = proposal.sample(200, rng)[None]
     pool = Pool(z, -0.5 * (z[..., 0] / 1e-5) ** 2, [(200, [proposal])])
     ratios = pool.ratios([Quadratic.of(wide)], 10.0)
@@ -165,9 +165,23 @@ def test_corrected_posterior_has_the_moments_of_its_draws():
     rng = np.random.default_rng(5)
     wrong = Gaussians(np.ones(1), np.zeros((1, 2)), np.eye(2)[None])
     z = np.array([0.4, -0.2]) + rng.normal(size=(20_000, 2)) * [0.5, 2.0]
-    found = corrected(wrong, z, np.full(len(z), 1 / len(z)))
+    found = corrected(wrong, z, np.full(len(z), 1 / len(z)), chain=False)
     np.testing.assert_allclose(found.means[0], [0.4, -0.2], atol=5 * 2 / np.sqrt(20_000))
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariances[0])), [0.5, 2.0], rtol=0.03)
+
+
+def test_shares_of_links_are_laplaces_until_draws_tell():
+    """Of a hundred links 30 draws tell little, of two modes 1000 all; Laplace's shares of modes count for nothing."""
+    rng = np.random.default_rng(7)
+    links = Gaussians(np.full(100, 0.01), np.linspace(-5, 5, 100)[:, None], np.full((100, 1, 1), 0.01))
+    z = rng.uniform(-5, 5, size=(30, 1))
+    found = corrected(links, z, np.full(30, 1 / 30), chain=True)
+    # at most a draw in a hundred and thirty falls to a link whose share was one in a hundred
+    assert found.weights.min() >= 100 / 130 * 0.01
+    assert found.weights.max() < 0.01 + 5 / 130
+    modes = Gaussians(np.array([0.999, 0.001]), np.array([[-10.0], [10.0]]), np.ones((2, 1, 1)))
+    z = rng.normal(size=(1000, 1)) + np.where(np.arange(1000) < 500, -10.0, 10.0)[:, None]
+    np.testing.assert_allclose(corrected(modes, z, np.full(1000, 1e-3), chain=False).weights, 0.5, atol=0.01)
 
 
 def sharp(points):

@@ -5,6 +5,8 @@ import pytest
 import torch
 
 import nfpde
+from nfpde import benchmarks
+from nfpde.bench.estimation.sensing import with_noise
 from nfpde.estimation.trajectory.ridges import _Line, along_ridges
 from tests.linear_robots import DT, SPACE, both_stages, linear_simulator, moments
 
@@ -43,9 +45,39 @@ def test_one_robot_is_as_wide_as_its_ridge(n, noise):
     exact = spread_of_parts(n, 2.0, rng)
     assert (0.65 * exact < xi.std(0)).all()
     assert (xi.std(0) < 1.2 * exact).all()
-    # eight straight links leave what bends in n - 1 directions, by far less than the bounds leave the sum
-    assert xi.sum(1).std() < (0.03 if n == 2 else 0.2) * np.sqrt(n) * 20 / np.sqrt(12)
-    np.testing.assert_allclose(xi.sum(1).mean(), 2.0, atol=0.5)
+    if n == 2:
+        # links are short enough to leave little more than the recording does: the error of a straight line's slope
+        # through ROWS points, and a thousandth of the bounds where that is less
+        told = noise * np.sqrt(12 / ROWS**3) / DT
+        assert xi.sum(1).std() < 1.5 * told + 0.02
+        np.testing.assert_allclose(xi.sum(1).mean(), 2.0, atol=3 * told + 0.01)
+    else:
+        # straight links leave what bends in two directions and more, by far less than the bounds leave the sum
+        assert xi.sum(1).std() < 0.2 * np.sqrt(n) * 20 / np.sqrt(12)
+        np.testing.assert_allclose(xi.sum(1).mean(), 2.0, atol=0.5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_a_hand_and_its_payload(share):
+    """Welded masses of MuJoCo: their sum is told, the split is uniform as far as the bounds of both allow."""
+    robot = benchmarks.robot("payload")
+    xi = robot.space.uniform(1, np.random.default_rng(5))
+    clean = benchmarks.record(robot, xi, steps=60, rng=np.random.default_rng(6))
+    dataset, _ = with_noise(robot.model, clean, share, seed=7)
+    found = nfpde.fit(nfpde.MujocoSimulator(robot.path, robot.space), dataset, quiet=True).distribution.sample(4000)
+    # the sum as well as by a fit that holds one of them
+    one = nfpde.ParameterSpace([nfpde.Parameter("body_mass", "payload", low=0.05, high=1.0), robot.space[2]])
+    alone = nfpde.fit(nfpde.MujocoSimulator(robot.path, one), dataset, quiet=True).distribution.sample(4000)[:, 0] + 0.3
+    both = found[:, :2].sum(1)
+    assert both.std() < 1.5 * alone.std() + 1e-3
+    np.testing.assert_allclose(both.mean(), alone.mean(), atol=0.5 * alone.std() + 1e-3)
+    total, (low, high) = both.mean(), np.transpose([robot.space.low[:2], robot.space.high[:2]])[0]
+    ends = max(low, total - high), min(high, total - low)
+    # of all that is left of the split the middle half is as likely as it is wide: a binomial of as many effective
+    # draws, one in a hundred of them at least, and Gaussians in z that end before the bounds
+    middle = np.abs(found[:, 0] - np.mean(ends)) < 0.25 * (ends[1] - ends[0])
+    assert 0.35 < middle.mean() < 0.65
+    np.testing.assert_allclose(found[:, 0].std(), (ends[1] - ends[0]) / np.sqrt(12), rtol=0.2)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 0.1])
@@ -87,9 +119,12 @@ def test_links_are_on_the_ridge():
     np.testing.assert_allclose(chain.weights.sum(), 1.0)
 
 
-@pytest.mark.parametrize(("links", "d", "tolerance"), [(8, 2, 0.1), (64, 3, 0.15)])
+@pytest.mark.parametrize(("links", "d", "tolerance"), [(8, 2, 0.015), (40, 2, 0.015), (64, 3, 0.15)])
 def test_links_of_a_straight_line_are_the_gaussian_in_their_place(links, d, tolerance):
-    """A likelihood that is quadratic in z, a prior that is Gaussian: weight and covariance of all links together."""
+    """A likelihood that is quadratic in z, a prior that is Gaussian: weight and covariance of all links together.
+
+    Beyond three standard deviations, where chains end, lie 3 % of a Gaussian's variance.
+    """
     rng = np.random.default_rng(d)
     sharp = np.linalg.qr(rng.normal(size=(d, d)))[0][:, :1]
     fisher, prior = 1e6 * sharp @ sharp.T, 0.5 * np.eye(d)

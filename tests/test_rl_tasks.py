@@ -5,9 +5,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.benchmarks.pendulum import PENDULUM_XML
+from nfpde.benchmarks import collect, robot
+from nfpde.benchmarks.pendulum import PAYLOAD_XML, PENDULUM_XML
 from nfpde.errors import BadInput
 from nfpde.rl import TASKS, evaluate_policy, make_environment
+from nfpde.sim import MujocoSimulator
 
 
 @pytest.mark.parametrize(("name", "identifier"), TASKS.items())
@@ -23,19 +25,33 @@ def test_short_names(name, identifier, tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.filterwarnings("ignore:.*Box (action|observation) space:UserWarning")
-def test_pendulum_follows_gymnasiums_rules():
+@pytest.mark.parametrize("name", ["Pendulum", "Payload"])
+def test_pendulums_follow_gymnasiums_rules(name):
     """Gymnasium's own checker finds no fault in the task."""
     from gymnasium.utils.env_checker import check_env
 
-    check_env(gymnasium.make("nfpde/Pendulum-v0").unwrapped, skip_render_check=True)
+    check_env(gymnasium.make(f"nfpde/{name}-v0").unwrapped, skip_render_check=True)
 
 
-def test_pendulum_must_pump():
+@pytest.mark.parametrize("path", [PENDULUM_XML, PAYLOAD_XML], ids=lambda path: path.stem)
+def test_pendulums_must_pump(path):
     """The motor cannot hold the pendulum level: its largest torque is below half of gravity's."""
-    model = mujoco.MjModel.from_xml_path(str(PENDULUM_XML))
-    body = model.body("pendulum").id
-    gravity = model.body_mass[body] * 9.81 * -model.body_ipos[body, 2]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[0] = np.pi / 2
+    mujoco.mj_forward(model, data)
+    gravity = abs(data.qfrc_bias[0])
     assert 0.2 * gravity < model.actuator_ctrlrange[0, 1] < 0.5 * gravity
+
+
+def test_nothing_tells_a_hand_from_its_payload():
+    """What one loses in mass and the other gains moves nothing; more of both does."""
+    body = robot("payload")
+    windows = collect(body, "gaussian", episodes=1, steps=20)[0].transitions()
+    xi = np.array([[0.3, 0.3, 0.02], [0.2, 0.4, 0.02], [0.3, 0.4, 0.02]])
+    ends = MujocoSimulator(body.path, body.space).predict(xi, windows)
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-9, atol=1e-12)
+    assert np.abs(ends[2] - ends[0]).max() > 1e-3
 
 
 def test_pendulum_reward_and_observation():
@@ -67,7 +83,7 @@ def test_pendulum_can_be_solved():
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("flying_carpet",), "'flying_carpet': .*Known short names: pendulum, hopper"),
+        (("flying_carpet",), "'flying_carpet': .*Known short names: pendulum, payload, hopper"),
         (("no_such_module:Robot-v0",), "no_such_module.*module:Id-v0"),
         (("pendulum", "missing.xml"), "missing.xml: no such file"),
         (("CartPole-v1", PENDULUM_XML), "'CartPole-v1' cannot be made with .*xml_file"),

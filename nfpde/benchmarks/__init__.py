@@ -2,6 +2,7 @@
 
 from nfpde.benchmarks.collect import collect as collect
 from nfpde.benchmarks.collect import record as record
+from nfpde.benchmarks.pendulum import PAYLOAD_ID as PAYLOAD_ID
 from nfpde.benchmarks.pendulum import PENDULUM_ID as PENDULUM_ID
 from nfpde.benchmarks.robots import BENCHMARKS as BENCHMARKS
 from nfpde.benchmarks.robots import ROBOTS as ROBOTS

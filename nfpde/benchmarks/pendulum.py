@@ -1,4 +1,4 @@
-"""A small pendulum of our own: recorded, fitted and mastered within minutes."""
+"""Small pendulums of our own: recorded, fitted and mastered within minutes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,20 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
+ASSETS = Path(__file__).parent / "assets"
+
 PENDULUM_ID = "nfpde/Pendulum-v0"
-PENDULUM_XML = Path(__file__).parent / "assets" / "pendulum.xml"
+PENDULUM_XML = ASSETS / "pendulum.xml"
+
+PAYLOAD_ID = "nfpde/Payload-v0"
+PAYLOAD_XML = ASSETS / "payload.xml"
+"""A pendulum whose bob is a hand and what it holds: no motion tells how they share their mass."""
 
 
 class Pendulum(MujocoEnv):
     """Swing a pendulum up and hold it, with a motor that must pump because it cannot lift the bob.
 
-    Body `pendulum`, joint `hinge` [rad, 0 hangs down], actuator `motor` [Nm]. An episode has 150 steps of 0.05 s
+    Joint `hinge` [rad, 0 hangs down], actuator `motor` [Nm]. An episode has 150 steps of 0.05 s
     and starts at any angle, with at most 1 rad/s. Observation: cosine and sine of the angle from upright, angular
     velocity [rad/s]. Reward a step: (1 + cosine) / 2 less 0.002 velocity^2 and 0.02 (torque / limit)^2, so that
     holding the pendulum upright earns nearly 1 and hanging still 0.
@@ -57,5 +63,7 @@ class Pendulum(MujocoEnv):
         return np.array([-np.cos(angle), -np.sin(angle), velocity])
 
 
-if PENDULUM_ID not in gymnasium.registry:
-    gymnasium.register(PENDULUM_ID, entry_point=f"{__name__}:Pendulum", max_episode_steps=150)
+for env_id, xml_file in ((PENDULUM_ID, PENDULUM_XML), (PAYLOAD_ID, PAYLOAD_XML)):
+    if env_id not in gymnasium.registry:
+        given = {"xml_file": str(xml_file)}
+        gymnasium.register(env_id, entry_point=f"{__name__}:Pendulum", max_episode_steps=150, kwargs=given)

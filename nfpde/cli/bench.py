@@ -75,7 +75,7 @@ def fit(
 
 @app.command("estimation")
 def estimation(
-    robots: Annotated[str | None, typer.Option(help="with commas; all four, for the calibration two")] = None,
+    robots: Annotated[str | None, typer.Option(help="with commas; all four, for the calibration three")] = None,
     targets: Annotated[str, typer.Option(help="populations, with commas")] = "gaussian,mixture",
     noise: Annotated[str, typer.Option(help="of the sensors, shares of each channel's deviation")] = "0,0.001,0.01",
     seeds: Annotated[str, typer.Option(help="with commas")] = "0,1,2",

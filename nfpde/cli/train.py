@@ -13,7 +13,10 @@ from nfpde.truth import Truth
 
 def command(
     env: Annotated[
-        str, typer.Argument(metavar="ENV", help="pendulum, hopper, walker2d, half_cheetah, humanoid or a Gymnasium id")
+        str,
+        typer.Argument(
+            metavar="ENV", help="pendulum, payload, hopper, walker2d, half_cheetah, humanoid or a Gymnasium id"
+        ),
     ],
     distribution: Annotated[Path, typer.Option(help="what nfpde fit wrote, or a saved distribution")],
     out: Annotated[Path, typer.Option(help="folder for the policy; an interrupted training goes on from it")],

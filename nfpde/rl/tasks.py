@@ -8,12 +8,13 @@ from typing import Any
 
 import gymnasium
 
-from nfpde.benchmarks import PENDULUM_ID
+from nfpde.benchmarks import PAYLOAD_ID, PENDULUM_ID
 from nfpde.errors import BadInput
 from nfpde.sim.quiet import quiet_mujoco
 
 TASKS = {
     "pendulum": PENDULUM_ID,
+    "payload": PAYLOAD_ID,
     "hopper": "Hopper-v5",
     "walker2d": "Walker2d-v5",
     "half_cheetah": "HalfCheetah-v5",

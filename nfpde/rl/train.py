@@ -16,9 +16,9 @@ from nfpde.rl.tasks import TASKS, Environment
 from nfpde.rl.training import Job, Training
 from nfpde.truth import Truth
 
-PRESETS = {
-    TASKS["pendulum"]: SacConfig(hidden=(64, 64), learning_rate=1e-3, batch_size=128, learning_starts=500, gamma=0.98),
-}
+_SMALL = SacConfig(hidden=(64, 64), learning_rate=1e-3, batch_size=128, learning_starts=500, gamma=0.98)
+
+PRESETS = {TASKS[name]: _SMALL for name in ("pendulum", "payload")}
 """Hyperparameters of environments for which the defaults are needlessly slow, by Gymnasium id."""
 
 

@@ -28,13 +28,26 @@ def without_rounding(information: Array) -> Array:
     told less would be taken for flat), and parameters that have a flat direction in common, and no other, lose the
     sharpness that double precision cannot hold beside it. A matrix without flat directions comes back as it is.
     """
-    size, values, vectors, flat = _scaled(information)
-    if not flat.any():
-        return information
-    size = size * _softening(vectors[:, flat], size)
-    values = np.where(flat, 0.0, values)
-    found = (vectors * values) @ vectors.T * np.outer(size, size)
-    return 0.5 * (found + found.T)
+    *_, flat = _scaled(information)
+    return softened_alike(information[None])[0] if flat.any() else information
+
+
+def softened_alike(informations: Array) -> Array:
+    """The same `without_rounding` of places along one ridge (n, D, D), where all lose as much sharpness.
+
+    How much the posterior has of each place goes by how sharp its information is beside the others'.
+    """
+    parts = [_scaled(information) for information in informations]
+    softening = np.ones(informations.shape[1])
+    for size, _, vectors, flat in parts:
+        if flat.any():
+            softening = np.minimum(softening, _softening(vectors[:, flat], size))
+    found = informations * np.outer(softening, softening)
+    for i, (size, values, vectors, flat) in enumerate(parts):
+        if flat.any():
+            own = (vectors * np.where(flat, 0.0, values)) @ vectors.T * np.outer(size * softening, size * softening)
+            found[i] = 0.5 * (own + own.T)
+    return found
 
 
 def standard_errors(information: Array) -> Array:

@@ -24,10 +24,10 @@ from nfpde.estimation.trajectory.ridges import along_ridges
 from nfpde.estimation.trajectory.sampling import (
     MOST,
     corrected,
-    local_proposal,
     next_proposal,
     temperature,
     tempered_proposal,
+    widened,
 )
 
 Array = NDArray[np.float64]
@@ -62,6 +62,9 @@ class PopulationEstimator:
         self.robots, self.features = len(self.posteriors), self.posteriors[0].means.shape[1]
         self.chains = along_ridges(self.problem, self.noise, self.posteriors)
         self.quadratics = [Quadratic.of(p) for p in self.chains]
+        self.linked = [chain is not p for chain, p in zip(self.chains, self.posteriors, strict=True)]
+        self.local = [Gaussians(p.weights, p.means, p.covariances) for p in self.chains]
+        self.local = [p if ok else p.heaviest(MOST, 1e-3) for p, ok in zip(self.local, self.linked, strict=True)]
         self.smoothing, _ = smoothing_matrix(self.posteriors)
         self.rng = np.random.default_rng([self.seed, 1])
         self.pool = Pool.empty(self.robots, self.features)
@@ -133,14 +136,15 @@ class PopulationEstimator:
         ratios, competition, found = self.ratios, self.competition, []
         if ratios is None:
             raise RuntimeError("call step first")
-        for g, p in enumerate(self.chains):
-            analytic = Gaussians(p.weights, p.means, p.covariances).heaviest(MOST, 1e-3)
+        for g, analytic in enumerate(self.local):
             weights = ratios.box_weights(g)
             if self.informs and competition is not None:
                 others = competition.others_of(g)
-                analytic = self.quadratics[g].times(others).reduced(MOST, 1e-3)
+                analytic = self._informed(g, others)
                 weights = ratios.weights(g, others)
-            found.append(corrected(analytic, ratios.z[g], weights) if ratios.sampled[g] else analytic)
+            if ratios.sampled[g]:
+                analytic = corrected(analytic, ratios.z[g], weights, chain=self.linked[g])
+            found.append(analytic)
         return found
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -176,17 +180,20 @@ class PopulationEstimator:
     def _proposals(self) -> list[Gaussians]:
         ratios, competition = self.ratios, self.competition
         if ratios is None:
-            return [local_proposal(p) for p in self.chains]
+            return [widened(p) for p in self.local]
         proposals = []
-        for g, p in enumerate(self.chains):
+        for g, p in enumerate(self.local):
             if not ratios.sampled[g]:
                 logs = self.pool.log_likelihood[g] - self.pool.log_proposal(g)
                 exponent = temperature(logs, self.pool.z[g], self.least)
                 proposals.append(tempered_proposal(logs, self.pool.z[g], exponent, p))
             elif competition is None:
-                proposals.append(local_proposal(p))
+                proposals.append(widened(p))
             else:
                 others = competition.others_of(g)
-                informed = self.quadratics[g].times(others).reduced(MOST, 1e-3)
-                proposals.append(next_proposal(informed, p, others))
+                proposals.append(next_proposal(self._informed(g, others), p, others))
         return proposals
+
+    def _informed(self, g: int, others: Gaussians) -> Gaussians:
+        """Robot g's posterior with the population of the others for prior, by Laplace's method."""
+        return self.quadratics[g].times(others).reduced(max(MOST, len(self.local[g].weights)), 1e-3)
