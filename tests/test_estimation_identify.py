@@ -5,7 +5,10 @@ import pytest
 import torch
 
 import nfpde
+from nfpde import benchmarks
+from nfpde.bench.estimation.sensing import with_noise
 from nfpde.estimation import tell
+from nfpde.estimation.trajectory.advice import _Worth
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge, describe_knowledge
 
 torch.set_num_threads(1)
@@ -136,6 +139,41 @@ def test_damping_of_a_joint_at_rest_asks_for_motion():
     assert all("wheel" in row["change"] for row in advice["gains"])
     assert all(row["gain"] is None or row["gain"] > 1.5 for row in advice["gains"])
     assert any("faster motion of wheel" in line for line in tell(result))
+
+
+def test_more_of_what_tells_a_sum_is_worth_nothing_to_its_parts():
+    """Two parameters, told the sum: as sharp again or a thousand times as long, each stays what the bounds leave it."""
+    bounds, both = np.eye(2) * 12.0, np.ones((2, 2))
+    worth = _Worth.of(np.linalg.inv(bounds + 1e6 * both), 0, moments=100)
+    assert worth.added(1e4 * both) < 1e-3 * 12
+    assert not worth.tells(1e4 * both)
+    assert worth.tells(np.diag([0.0, 1.0]))
+    assert worth.times_longer() is None
+    # the first alone: 1e4 a moment, a hundred of them, and the sum passes on nothing that is not known of the other
+    np.testing.assert_allclose(worth.added(np.diag([1e4, 0.0])), 1e6, rtol=1e-6)
+
+
+def test_how_much_longer():
+    """Information grows with the length of what is recorded: 1 / 0.05^2 is wanted, of which the bounds are 12."""
+    worth = _Worth.of(np.diag([1 / (12 + 50.0), 1 / 12]), 0, moments=10)
+    assert worth.times_longer() == pytest.approx((400 - 12) / 50, rel=1e-6)
+    assert _Worth.of(np.diag([1 / (12 + 1e-3), 1 / 12]), 0, moments=10).times_longer() is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.1])
+def test_no_motion_is_asked_for_that_cannot_tell(share):
+    """A hand and what it holds: commands tell more of both together and nothing of either."""
+    body = benchmarks.robot("payload")
+    clean = benchmarks.collect(body, "gaussian", episodes=2, steps=60)[0]
+    dataset, _ = with_noise(body.model, clean, share, seed=0)
+    info = nfpde.fit(nfpde.MujocoSimulator(body.path, body.space), dataset, quiet=True).info
+    rows = {row["parameter"]: row for row in info["record_next"]}
+    for name, other in (("hand", "payload"), ("payload", "hand")):
+        row = rows[f"body_mass:{name}"]
+        assert row["gains"] == []
+        assert row["times_longer"] is None
+        if share < 0.1:  # above, their sum is not known so much better that they are named together
+            assert f"would tell it from body_mass:{other}; weigh or measure one of them" in row["words"]
 
 
 def test_nothing_is_asked_for_where_everything_is_known():

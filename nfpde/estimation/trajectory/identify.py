@@ -56,6 +56,11 @@ class Knowledge:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def correlations(self) -> Array:
+        """Of the errors of every two parameters, (D, D)."""
+        return self.covariance / np.outer(self.std, self.std)
+
+    @property
     def told(self) -> NDArray[np.bool_]:
         """Whether the recordings say anything of each parameter, (D,)."""
         return self.std < TOLD * UNIFORM_STD * self.space.width
@@ -68,12 +73,10 @@ class Knowledge:
 
     def pairs(self) -> list[dict[str, Any]]:
         """Pairs of which a combination is known much better than either: its words and how much better."""
-        std = self.std
-        found = []
-        for i, j in combinations(range(len(std)), 2):
-            correlation = self.covariance[i, j] / (std[i] * std[j])
-            if abs(correlation) >= TIED:
-                found.append({"parameters": [i, j], **self._pair(i, j), "correlation": float(correlation)})
+        correlations, found = self.correlations, []
+        for i, j in combinations(range(len(correlations)), 2):
+            if abs(correlations[i, j]) >= TIED:
+                found.append({"parameters": [i, j], **self._pair(i, j), "correlation": float(correlations[i, j])})
         return sorted(found, key=lambda row: -abs(row["correlation"]))
 
     def _pair(self, i: int, j: int) -> dict[str, Any]:

@@ -19,7 +19,7 @@ SHARPEST = 1e4
 the information that the bounds are, even close to one of them, and they are all that is known of the combination."""
 
 
-def without_rounding(information: Array) -> Array:
+def without_rounding(information: Array, share: float = ROUNDING) -> Array:
     """An information matrix (D, D) in which what the recordings do not tell has no information.
 
     Clean recordings tell the sum of two masses to 1e-10 and nothing of their difference. The numbers of such a matrix
@@ -27,17 +27,21 @@ def without_rounding(information: Array) -> Array:
     the size of rounding errors become zero (the parameters are scaled to equal information first, or those that are
     told less would be taken for flat), and parameters that have a flat direction in common, and no other, lose the
     sharpness that double precision cannot hold beside it. A matrix without flat directions comes back as it is.
+
+    Args:
+        information: the matrix.
+        share: of the largest eigenvalue, below which one is an error.
     """
-    *_, flat = _scaled(information)
-    return softened_alike(information[None])[0] if flat.any() else information
+    *_, flat = _scaled(information, share)
+    return softened_alike(information[None], share)[0] if flat.any() else information
 
 
-def softened_alike(informations: Array) -> Array:
+def softened_alike(informations: Array, share: float = ROUNDING) -> Array:
     """The same `without_rounding` of places along one ridge (n, D, D), where all lose as much sharpness.
 
     How much the posterior has of each place goes by how sharp its information is beside the others'.
     """
-    parts = [_scaled(information) for information in informations]
+    parts = [_scaled(information, share) for information in informations]
     softening = np.ones(informations.shape[1])
     for size, _, vectors, flat in parts:
         if flat.any():
@@ -68,14 +72,14 @@ def inverse(matrices: Array) -> Array:
     return factors.swapaxes(-1, -2) @ factors
 
 
-def _scaled(information: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _scaled(information: Array, share: float = ROUNDING) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Sizes of the parameters; eigenvalues, eigenvectors, and which are flat, when all have the size 1.
 
     Information about z below 1 is less than most of the box has by itself, and no size to be scaled up from.
     """
     size = np.sqrt(np.maximum(np.diag(information), 1.0))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    return size, values, vectors, values <= ROUNDING * max(float(values[-1]), 1e-300)
+    return size, values, vectors, values <= share * max(float(values[-1]), 1e-300)
 
 
 def _softening(flat: Array, size: Array) -> Array:
