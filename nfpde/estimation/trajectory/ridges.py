@@ -70,9 +70,9 @@ def along_ridges(problem: Problem, noise: Noise, posteriors: Sequence[LocalPoste
     """
     found = _chains(problem, noise, posteriors, dict.fromkeys(range(len(posteriors)), LINKS))
     bent = {g: int(np.ceil(LINKS * np.sqrt(bend / CLOSE))) for g, (_, bend) in found.items() if bend > CLOSE}
-    if bent:
-        most = max(LINKS, min(MOST, IN_ALL // len(bent)))
-        found |= _chains(problem, noise, posteriors, {g: min(n, most) for g, n in bent.items()} if most > LINKS else {})
+    most = min(MOST, IN_ALL // max(len(bent), 1))
+    if most > LINKS:
+        found |= _chains(problem, noise, posteriors, {g: min(n, most) for g, n in bent.items()})
     return [found[g][0] if g in found else p for g, p in enumerate(posteriors)]
 
 
@@ -151,9 +151,10 @@ def _along_line(n: int) -> tuple[Array, float, Array]:
 
     Shares of variance 1 - own, which with the links' own make 1, so that all links of a straight line have together the
     weight of the one Gaussian in their place; each reaches `GAP` of the way to the next, where their sum is smooth.
+    Fewer than `LINKS` are as wide, as they must be narrower than the posterior, and leave out its ends.
     """
-    q = np.linspace(-END, END, n)[:, None]
-    gap = float(q[1, 0] - q[0, 0])
+    gap = 2 * END / (max(n, LINKS) - 1)
+    q = gap * (np.arange(n, dtype=np.float64) - 0.5 * (n - 1))[:, None]
     own = (GAP * gap) ** 2
     return q, own, np.log(gap) - 0.5 * (q**2).sum(1) * own / (1 - own) - 0.5 * np.log(2 * np.pi * own * (1 - own))
 
