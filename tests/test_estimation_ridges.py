@@ -94,7 +94,10 @@ def test_a_population_is_as_wide_as_the_bounds_where_no_robot_tells(robots, nois
     assert (xi.std(0) < 1.2 * exact).all()
     # smoothing may widen, and so may the bend
     assert 0.5 * totals.std() < xi.sum(1).std() < 2 * totals.std()
-    for robot in result.info["robots"]:
+    for robot, total in zip(result.info["robots"], totals, strict=True):
+        # best values on the ridge, to four of a slope's standard errors through ROWS points
+        best = sum(p["value"] for p in robot["parameters"].values())
+        assert abs(best - total) < 4 * noise * np.sqrt(12 / ROWS**3) / DT + 1e-6
         assert len(robot["combinations"]) == 1
         assert all(p["known"] < 0.3 for p in robot["parameters"].values())
 

@@ -26,7 +26,7 @@ AT_BOUND = 0.02
 
 
 def describe_robots(
-    space: ParameterSpace, problem: Problem, together: PopulationEstimator, robots: list[Gaussians]
+    space: ParameterSpace, problem: Problem, together: PopulationEstimator, robots: list[Gaussians], values: Array
 ) -> list[dict[str, Any]]:
     """One table per robot: best value, posterior standard deviation and quantiles, Cramer-Rao bound, modes, bounds.
 
@@ -34,12 +34,20 @@ def describe_robots(
     nothing; `known_with_others` the same of the posterior, which the other robots inform where they predict it better
     than the bounds do; `cramer_rao` is null where the recordings do not determine the parameter at all; `leans_on`
     names a bound; `words` says it all in a few words.
+
+    Args:
+        space: the parameters.
+        problem: windows sorted by robot.
+        together: the finished second stage.
+        robots: posteriors.
+        values: best parameters in z, (G, D).
     """
     ratios = together.ratios
     if ratios is None:
         raise RuntimeError("no draws yet")
     rows = []
-    for g, (name, p, final) in enumerate(zip(problem.names, together.posteriors, robots, strict=True)):
+    found = zip(problem.names, together.posteriors, robots, values, strict=True)
+    for g, (name, p, final, value) in enumerate(found):
         knowledge = Knowledge.of(space, p.means[0], p.fisher[0])
         rows.append(
             {
@@ -52,7 +60,7 @@ def describe_robots(
                     "effective": float(ratios.effective[g]),
                     "simulated": bool(ratios.sampled[g]),
                 },
-                "parameters": _parameters(space, p.means[0], p.fisher[0], final, knowledge),
+                "parameters": _parameters(space, p.means[0], p.fisher[0], final, value, knowledge),
                 "combinations": [row["words"] for row in knowledge.pairs()],
             }
         )
@@ -76,12 +84,12 @@ def describe_population(together: PopulationEstimator) -> dict[str, Any]:
 
 
 def _parameters(
-    space: ParameterSpace, mode: Array, fisher: Array, final: Gaussians, knowledge: Knowledge
+    space: ParameterSpace, mode: Array, fisher: Array, final: Gaussians, value: Array, knowledge: Knowledge
 ) -> dict[str, dict[str, Any]]:
     density = GaussianMixture(*(torch.from_numpy(a) for a in (final.weights, final.means, final.covariances)))
     xi = space.to_physical(density.sample(SAMPLES, torch.Generator().manual_seed(0)).numpy())
     low, high = np.quantile(xi, (0.05, 0.95), axis=0)
-    best = space.to_physical(final.mode())
+    best = space.to_physical(value)
     bound = standard_errors(fisher) * np.exp(_log_slope(space, mode))
     table = {}
     for i, parameter in enumerate(space):

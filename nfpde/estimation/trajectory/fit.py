@@ -47,6 +47,7 @@ def fit_trajectory(
     knowledge = [Knowledge.of(space, p.means[0], p.fisher[0]) for p in together.posteriors]
     steps = problem.simulator.simulated_steps
     best, scatter = np.array([p.means[0] for p in together.posteriors]), estimator.alone.noise.scatter
+    values = together.values(robots)
     errors, diverged = channel_errors(problem, best, scatter)
     described = {
         "tells": describe_knowledge(knowledge),
@@ -60,7 +61,7 @@ def fit_trajectory(
         "population": describe_population(together),
         "robots": [
             row | {"diverged": n}
-            for row, n in zip(describe_robots(space, problem, together, robots), diverged, strict=True)
+            for row, n in zip(describe_robots(space, problem, together, robots, values), diverged, strict=True)
         ],
         **described,
     }

@@ -20,7 +20,7 @@ from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.pool import Pool, Ratios
 from nfpde.estimation.trajectory.population import smoothing_matrix
 from nfpde.estimation.trajectory.problem import Problem
-from nfpde.estimation.trajectory.ridges import along_ridges
+from nfpde.estimation.trajectory.ridges import along_ridges, onto_ridges
 from nfpde.estimation.trajectory.sampling import (
     MOST,
     corrected,
@@ -146,6 +146,14 @@ class PopulationEstimator:
                 analytic = corrected(analytic, ratios.z[g], weights, chain=self.linked[g])
             found.append(analytic)
         return found
+
+    def values(self, robots: list[Gaussians]) -> Array:
+        """Best parameters of all robots in z (G, D): the tops of their posteriors; of ridges, on the ridge."""
+        tops = np.array([found.mode() for found in robots])
+        own = np.flatnonzero(self.linked)
+        if len(own):
+            tops[own] = onto_ridges(self.problem, self.noise, [self.posteriors[g] for g in own], own, tops[own])
+        return tops
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next round depends on, as tensors and JSON."""

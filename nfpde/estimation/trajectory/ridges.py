@@ -22,6 +22,7 @@ from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.problem import Problem
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 LOOSE, SHARP = 0.5, 0.1
 """Standard deviations, in the bounds' own: above the first a direction is not told, below the second it is."""
@@ -35,6 +36,9 @@ LINKS, FEWEST = 8, 3
 MOST, IN_ALL = 64, 128
 """Gaussians of a robot whose ridge leaves so few, and of all such robots together: each costs some fifty simulations,
 and a population compares those of all its robots with each other."""
+
+HELD = 0.01
+"""Standard deviations, in the bounds' own, by which a place moves along directions that are not told sharply."""
 
 STEPS = 5
 """Gauss-Newton steps from a straight line onto the ridge."""
@@ -74,6 +78,20 @@ def along_ridges(problem: Problem, noise: Noise, posteriors: Sequence[LocalPoste
     if most > LINKS:
         found |= _chains(problem, noise, posteriors, {g: min(n, most) for g, n in bent.items()})
     return [found[g][0] if g in found else p for g, p in enumerate(posteriors)]
+
+
+def onto_ridges(problem: Problem, noise: Noise, posteriors: Sequence[LocalPosterior], robot: Index, z: Array) -> Array:
+    """Places z (K, D) beside the ridges of robots (K,) put on them: moved in what the recordings tell sharply alone.
+
+    The top of a mixture of straight links lies beside a bent ridge: next to it seen from the bounds, far away seen from
+    what the recordings tell.
+    """
+    windows = []
+    for p in posteriors:
+        scale, spread, vectors = _directions(p.means[0], p.fisher[0])
+        held = scale[:, None] * vectors[:, spread > SHARP**2]
+        windows.append(held @ held.T / HELD**2)
+    return _onto_ridges(problem, noise, start(problem, z, robot, noise), np.stack(windows)).z
 
 
 def _chains(
@@ -122,10 +140,7 @@ class _Line:
     @classmethod
     def through(cls, mode: Array, fisher: Array, links: int) -> _Line:
         """Of a mode (D,) and its information (D, D), for so many links."""
-        share = expit(mode)
-        prior = 2 * share * (1 - share)
-        scale = np.sqrt(np.maximum(prior, BOUNDS))
-        spread, vectors = np.linalg.eigh(inverse(fisher + np.diag(prior)) * np.outer(scale, scale))
+        scale, spread, vectors = _directions(mode, fisher)
         loose = spread > LOOSE**2
         k = int(loose.sum())
         if k == 0 or spread[0] > SHARP**2 or links < FEWEST:
@@ -135,6 +150,15 @@ class _Line:
         places = mode + q @ along.T / scale
         across = vectors[:, loose] / np.sqrt(spread[loose]) * np.sqrt(1 / own - 1) * scale[:, None]
         return cls(np.clip(places, -FARTHEST, FARTHEST), across @ across.T, log_share, q, own)
+
+
+def _directions(mode: Array, fisher: Array) -> tuple[Array, Array, Array]:
+    """Root of the bounds' information (D,); variances of a posterior in their unit, ascending, and its axes (D, D)."""
+    share = expit(mode)
+    prior = 2 * share * (1 - share)
+    scale = np.sqrt(np.maximum(prior, BOUNDS))
+    spread, vectors = np.linalg.eigh(inverse(fisher + np.diag(prior)) * np.outer(scale, scale))
+    return scale, spread, vectors
 
 
 def _lines(p: LocalPosterior, links: int) -> list[_Line]:
@@ -191,7 +215,7 @@ def _onto_ridges(problem: Problem, noise: Noise, c: Candidates, window: Array) -
     begin, everyone, d = c.z.copy(), np.arange(len(c.z)), c.z.shape[1]
     moving = everyone
 
-    def objective(c: Candidates, own: NDArray[np.intp]) -> Array:
+    def objective(c: Candidates, own: Index) -> Array:
         step = c.z - begin[own]
         kept = np.einsum("kd,kde,ke->k", step, window[own], step)
         return c.cost + 2 * (log_expit(c.z) + log_expit(-c.z)).sum(1) + kept
@@ -222,7 +246,7 @@ def _onto_ridges(problem: Problem, noise: Noise, c: Candidates, window: Array) -
     return c
 
 
-def _chain(c: Candidates, own: NDArray[np.intp], window: Array, log_share: Array) -> LocalPosterior | None:
+def _chain(c: Candidates, own: Index, window: Array, log_share: Array) -> LocalPosterior | None:
     """The posterior of one robot's links; None where they did not find the ridge."""
     fisher = softened_alike(c.data_information[own]) + window[own]
     share = expit(c.z[own])
