@@ -211,6 +211,13 @@ def test_calibration_goes_on(tmp_path, monkeypatch):
     page = (tmp_path / "calibration_quick.md").read_text()
     assert page.count("| dof_damping:hinge |") == 2
     assert "## pendulum, measured anew" in page
+    # posteriors that are above the truth in every problem
+    for stage in content["stages"].values():
+        stage["result"] |= {"rank": [0, 0], "true": [1.0, 1.0], "mean": [3.0, 2.0], "std": [1.0, 1.0]}
+    (tmp_path / "calibration_quick" / "pendulum.json").write_text(json.dumps(content))
+    assert estimation.calibrate(tmp_path, quick=True)
+    page = (tmp_path / "calibration_quick.md").read_text()
+    assert "- pendulum, body_mass:pendulum, 90 %: 0%; errors are 2.00 ± 0.58 posterior standard deviations" in page
 
 
 @pytest.mark.parametrize(

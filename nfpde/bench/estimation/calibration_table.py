@@ -6,11 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
 
 from nfpde.bench.estimation.ranks import WANTED, coverage, histogram
 from nfpde.bench.estimation.stages import SCHEMA_VERSION, code_of, results
 from nfpde.benchmarks import robot
 from nfpde.storage import read_json
+
+Array = NDArray[np.float64]
 
 CHANCE = 3.0
 """A parameter whose coverage is more standard errors off than this is not off by chance."""
@@ -32,10 +36,23 @@ def summary(content: dict[str, Any]) -> dict[str, Any]:
 
 def table(folder: Path, command: str) -> str:
     """Everything in the folder, finished or not, Markdown."""
-    lines = []
+    lines, off, judged = [], [], 0
     for path in sorted(folder.glob("*.json")):
-        content = read_json(path, SCHEMA_VERSION)
-        lines += _section(summary(content), f"{folder.name}/{path.name.partition('.')[0]}.png")
+        content = summary(read_json(path, SCHEMA_VERSION))
+        lines += _section(content, f"{folder.name}/{path.name.partition('.')[0]}.png")
+        off += _off(content)
+        judged += len(content["parameters"]) * len(content["coverage"])
+    if off:
+        chance = judged * 2 * float(norm.sf(CHANCE))
+        lines += [
+            "## Parameters that fail",
+            "",
+            f"Of {judged} coverages of single parameters, {chance:.2g} would be more than {CHANCE:g} standard errors "
+            "off if all posteriors were right.",
+            "",
+            *(f"- {text}" for text in off),
+            "",
+        ]
     return "\n".join(
         [
             "# Calibration by simulation",
@@ -50,7 +67,9 @@ def table(folder: Path, command: str) -> str:
             "is calibrated, less is too wide.",
             "",
             "`measured anew` is a control: each transition is a recording of its own, whose two states have errors of "
-            "their own. In a recording as it comes a measured state ends one transition and starts the next.",
+            "their own. In a recording as it comes a measured state ends one transition and starts the next. Of "
+            "`payload`, a hand and what it holds, recordings tell the sum of the masses, the bounds all that is known "
+            "of either.",
             "",
             *lines,
             f"`{command}`.",
@@ -59,10 +78,36 @@ def table(folder: Path, command: str) -> str:
     )
 
 
+def _off(content: dict[str, Any]) -> list[str]:
+    """Of every parameter whose coverage is off: whether its posteriors lie beside the truth or are of a wrong width."""
+    found, errors = [], _errors(content)
+    for i, name in enumerate(content["parameters"]):
+        own, n = errors[:, i], len(errors)
+        found += [
+            f"{_title(content)}, {name}, {share} %: {row['by_parameter'][i]:.0%}; errors are {own.mean():.2f} "
+            f"± {1 / np.sqrt(n):.2f} posterior standard deviations on average, {np.sqrt((own**2).mean()):.2f} "
+            f"± {1 / np.sqrt(2 * n):.2f} as a root mean square, {np.abs(own).max():.1f} at most."
+            for share, row in content["coverage"].items()
+            if not _passes(row["by_parameter"][i], row["error"], share)
+        ]
+    return found
+
+
+def _errors(content: dict[str, Any]) -> Array:
+    """Of the posteriors' means, in their standard deviations, (problems, D)."""
+    return np.array(
+        [[(m - t) / s for m, t, s in zip(r["mean"], r["true"], r["std"], strict=True)] for r in content["problems"]]
+    )
+
+
+def _title(content: dict[str, Any]) -> str:
+    return content["facts"]["robot"] + (", measured anew" if content["facts"]["anew"] else "")
+
+
 def _section(content: dict[str, Any], picture: str) -> list[str]:
     half, most = (content["coverage"][share] for share in WANTED)
     done, facts = content["problems"], content["facts"]
-    off = np.array([[(m - t) / s for m, t, s in zip(r["mean"], r["true"], r["std"], strict=True)] for r in done])
+    off = _errors(content)
     rows = []
     for i, name in enumerate(content["parameters"]):
         cells = [
@@ -76,7 +121,7 @@ def _section(content: dict[str, Any], picture: str) -> list[str]:
         passed = "pass" if low <= found["pooled"] <= high else f"FAIL: {low:.0%} to {high:.0%} wanted"
         verdicts.append(f"{found['pooled']:.1%}{error} {passed}")
     return [
-        f"## {facts['robot']}" + (", measured anew" if facts["anew"] else ""),
+        f"## {_title(content)}",
         "",
         "| parameter | central 50 % holds | central 90 % holds | error / std |",
         "|---|---|---|---|",
@@ -92,6 +137,9 @@ def _section(content: dict[str, Any], picture: str) -> list[str]:
     ]
 
 
+def _passes(covered: float, error: float, share: str) -> bool:
+    return abs(covered - int(share) / 100) <= CHANCE * error
+
+
 def _judged(covered: float, error: float, share: str) -> str:
-    passed = abs(covered - int(share) / 100) <= CHANCE * error
-    return f"{covered:.0%} ± {error:.0%}" + ("" if passed else " FAIL")
+    return f"{covered:.0%} ± {error:.0%}" + ("" if _passes(covered, error, share) else " FAIL")
