@@ -103,6 +103,10 @@ def test_evaluate(folder):
     out = (folder / "evaluate.txt").read_text()
     before, after = rows["initial"]["physical"], rows["estimate"]["physical"]
     assert f"{before:.3g} before the fit, {after:.3g} after it ({after / before:.0%})" in plain(out)
+    fitted = json.loads((folder / "fit" / "fit.json").read_text())
+    if fitted["method"] == "trajectory":
+        assert set(figures["robots"]) == {row["robot"] for row in fitted["robots"]}
+        assert "Cramer-Rao" in plain(out)
 
 
 def test_evaluate_refuses_the_truth_of_other_recordings(folder, tmp_path):

@@ -11,9 +11,10 @@ from rich.console import Console
 
 from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput
+from nfpde.estimation.accuracy import accuracy
 from nfpde.estimation.result import SCHEMA_VERSION
 from nfpde.evaluate import evaluate
-from nfpde.storage import read_json
+from nfpde.storage import read_json, write_whole
 from nfpde.truth import Truth
 
 
@@ -25,16 +26,24 @@ def command(
 ) -> None:
     """Measure a fitted distribution against the true parameters: exact optimal transport, coverage, a picture.
 
+    Of a fit by whole trajectories also every robot's errors, beside the Cramer-Rao bounds of its recordings.
+
     Writes evaluation.json and evaluation.png into DIR.
     """
     known = Truth.load(truth)
     estimate = ParameterDistribution.load(folder / "distribution", known.space)
     initial = ParameterDistribution.load(folder / "initial", known.space)
-    _check_recordings(folder / "fit.json", truth, known.dataset)
+    fit = read_json(folder / "fit.json", SCHEMA_VERSION) if (folder / "fit.json").exists() else {}
+    _check_recordings(fit.get("dataset"), folder / "fit.json", truth, known.dataset)
     result = evaluate(estimate, known, initial=initial, samples=samples, seed=seed)
-    (folder / "evaluation.json").write_text(json.dumps(result.to_json(), indent=1))
+    robots = accuracy(fit.get("robots", []), known)
+    figures = result.to_json() | ({} if robots is None else {"robots": robots.to_json()})
+    write_whole(folder / "evaluation.json", json.dumps(figures, indent=1))
     picture = result.draw(folder / "evaluation.png")
-    Console().print(result)
+    console = Console()
+    console.print(result)
+    if robots is not None:
+        console.print(robots)
     before, after = result.to_episodes["initial"], result.to_episodes["estimate"]
     typer.echo(
         f"Exact OT distance to the robots' true parameters: {before.physical:.3g} before the fit, "
@@ -44,15 +53,12 @@ def command(
     typer.echo(f"{picture}: the distribution, the robots' true parameters (points) and their population (outlines)")
 
 
-def _check_recordings(fit: Path, truth: Path, recorded: str | None) -> None:
+def _check_recordings(fitted: str | None, fit: Path, truth: Path, recorded: str | None) -> None:
     """Refuse the truth of other recordings than those of the fit, where both files say which theirs are."""
-    if recorded is None or not fit.exists():
-        return
-    fitted = read_json(fit, SCHEMA_VERSION).get("dataset")
-    if fitted is not None and fitted != recorded:
+    if fitted is not None and recorded is not None and fitted != recorded:
         raise BadInput(
             f"{truth} is not the truth of the recordings of {fit}: their content hashes are {recorded[:12]}... and "
-            f"{str(fitted)[:12]}...; give the truth.json that was written with the fit's recordings. If the fit used "
+            f"{fitted[:12]}...; give the truth.json that was written with the fit's recordings. If the fit used "
             "the same recordings in another form (resampled, a part of them, columns renamed), delete the entry "
             f"'dataset' from {truth.name}"
         )

@@ -52,6 +52,7 @@ def describe_robots(
         rows.append(
             {
                 "robot": name,
+                "episodes": list(problem.episodes[g]),
                 "windows": len(problem.members[g]),
                 "modes": len(p.weights),
                 "weights": p.weights.tolist(),

@@ -30,6 +30,7 @@ class Problem:
     """N windows, robot after robot, and their residuals in units of how much each channel changes over a window.
 
     names: label of every robot                                          (G,)
+    episodes: names of every robot's episodes                            G tuples
     members: indices of each robot's windows                             G arrays
     unit: what a residual of 1 stands for in each channel                (C,)
     floor: residual below which no channel is believed, in units         (C,)
@@ -39,6 +40,7 @@ class Problem:
     simulator: Simulator
     windows: Windows
     names: tuple[str, ...]
+    episodes: tuple[tuple[str, ...], ...]
     members: tuple[Index, ...]
     unit: Array
     floor: Array
@@ -133,7 +135,8 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
     if resolution is not None:
         # rounding to steps of r leaves errors that are uniform over a step: a standard deviation of r / sqrt(12)
         grain = _steps(simulator, resolution) / np.sqrt(12.0) / unit[: len(grain)]
-    return Problem(simulator, windows, names, members, unit, floor, grain)
+    episodes = tuple(tuple(e.name for e, o in zip(dataset, labels, strict=True) if o == name) for name in names)
+    return Problem(simulator, windows, names, episodes, members, unit, floor, grain)
 
 
 def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:
