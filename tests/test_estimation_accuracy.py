@@ -45,6 +45,7 @@ def test_errors_and_bounds_by_hand():
     assert b[1:] == ["kg", "0.354", "0.5", "1.00", "1", "of", "2"]
     assert accuracy(rows[3:], truth) is None
     assert accuracy([], truth) is None
+    assert accuracy([{k: v for k, v in rows[0].items() if k != "episodes"}], truth) is None
 
 
 def test_an_efficient_estimator_reaches_the_bound():

@@ -53,12 +53,12 @@ def command(
     typer.echo(f"{picture}: the distribution, the robots' true parameters (points) and their population (outlines)")
 
 
-def _check_recordings(fitted: str | None, fit: Path, truth: Path, recorded: str | None) -> None:
+def _check_recordings(fitted: object, fit: Path, truth: Path, recorded: str | None) -> None:
     """Refuse the truth of other recordings than those of the fit, where both files say which theirs are."""
     if fitted is not None and recorded is not None and fitted != recorded:
         raise BadInput(
             f"{truth} is not the truth of the recordings of {fit}: their content hashes are {recorded[:12]}... and "
-            f"{fitted[:12]}...; give the truth.json that was written with the fit's recordings. If the fit used "
+            f"{str(fitted)[:12]}...; give the truth.json that was written with the fit's recordings. If the fit used "
             "the same recordings in another form (resampled, a part of them, columns renamed), delete the entry "
             f"'dataset' from {truth.name}"
         )

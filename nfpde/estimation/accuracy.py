@@ -71,12 +71,12 @@ def accuracy(robots: Sequence[Mapping[str, Any]], truth: Truth) -> Accuracy | No
 
     Returns:
         Of the robots that have an episode in the truth, which has the same parameters for all of theirs; None where
-        there is no such robot.
+        there is no such robot, as in results that do not name episodes.
     """
     of_episode = dict(zip(truth.episodes, truth.xi, strict=True))
     known, true = [], []
     for row in robots:
-        own = np.array([of_episode[e] for e in row["episodes"] if e in of_episode])
+        own = np.array([of_episode[e] for e in row.get("episodes", ()) if e in of_episode])
         if len(own) and (own == own[0]).all():
             known.append(row)
             true.append(own[0])
