@@ -10,6 +10,7 @@ from nfpde.bench.estimation.sensing import with_noise
 from nfpde.estimation import tell
 from nfpde.estimation.trajectory.advice import _Worth
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge, describe_knowledge
+from nfpde.estimation.trajectory.information import inverse
 
 torch.set_num_threads(1)
 DT = 0.1
@@ -144,7 +145,7 @@ def test_damping_of_a_joint_at_rest_asks_for_motion():
 def test_more_of_what_tells_a_sum_is_worth_nothing_to_its_parts():
     """Two parameters, told the sum: as sharp again or a thousand times as long, each stays what the bounds leave it."""
     bounds, both = np.eye(2) * 12.0, np.ones((2, 2))
-    worth = _Worth.of(np.linalg.inv(bounds + 1e6 * both), 0, moments=100)
+    worth = _Worth.of(inverse(bounds + 1e6 * both), 0, moments=100)
     assert worth.added(1e4 * both) < 1e-3 * 12
     assert not worth.tells(1e4 * both)
     assert worth.tells(np.diag([0.0, 1.0]))
