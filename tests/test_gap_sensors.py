@@ -10,7 +10,7 @@ from nfpde.gap.grain import encoder_grain
 from nfpde.gap.loud import noise_residuals
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.sensors import sensor_noise
+from nfpde.gap.sensors import _likeliest, sensor_noise
 from tests.gap_systems import nominal, record
 
 
@@ -65,3 +65,16 @@ def test_noise_residuals_match_what_noise_does():
     actual = replay.residuals(np.zeros((1, 0)), cut.held, cut.horizons)[0]
     ratio = (actual**2).mean(0) / (predicted**2).mean(0)
     assert ratio == pytest.approx(1.0, abs=6 * np.sqrt(2 / len(cut.held)) * np.sqrt(2))  # two sample variances
+
+
+def test_a_bend_beyond_double_precision_hides_no_noise():
+    """Clean recordings with contacts: in half of the rows what bends is 1e9 times the noise, in one direction."""
+    rng = np.random.default_rng(0)
+    n, true = 400, 1e-13 * np.array([1.0, 2.0, 0.5, 4.0])
+    slopes = np.array([-0.5, 1.5, -1.5, 0.5])[:, None, None, None] * np.eye(4) * np.ones((n, 1, 1))
+    high = np.einsum("knij,knj->ni", slopes, true * rng.normal(size=(4, n, 4)))
+    way = rng.normal(size=(n, 4)) * (np.arange(n) % 2)[:, None] * 1e9 * true
+    high += way * rng.normal(size=(n, 1))
+    found = _likeliest(high, slopes, np.einsum("ni,nj->nij", way, way), 3 * true)
+    # a standard deviation of 200 rows, each with three directions and more that do not bend, to four standard errors
+    np.testing.assert_allclose(found / true, 1.0, atol=4 / np.sqrt(2 * 200))
