@@ -103,10 +103,24 @@ def test_evaluate(folder):
     out = (folder / "evaluate.txt").read_text()
     before, after = rows["initial"]["physical"], rows["estimate"]["physical"]
     assert f"{before:.3g} before the fit, {after:.3g} after it ({after / before:.0%})" in plain(out)
-    fitted = json.loads((folder / "fit" / "fit.json").read_text())
-    if fitted["method"] == "trajectory":
-        assert set(figures["robots"]) == {row["robot"] for row in fitted["robots"]}
-        assert "Cramer-Rao" in plain(out)
+    assert "robots" not in figures, "softmax finds no robots"
+
+
+def test_evaluate_shows_the_errors_of_robots(tmp_path):
+    """Of a fit by trajectories: every robot's, beside its bound, in JSON and on the screen."""
+    data, fit = tmp_path / "data", tmp_path / "fit"
+    assert run("collect", "pendulum", "--out", data, "--episodes", 2, "--steps", 30)[0] == 0
+    assert run("fit", "pendulum", data, "--out", fit, "--method", "trajectory", "--quiet")[0] == 0
+    status, out, _ = run("evaluate", fit, "--truth", data / "truth.json", "--samples", 50)
+    assert status == 0
+    assert "Cramer-Rao" in plain(out)
+    found = json.loads((fit / "evaluation.json").read_text())["robots"]
+    true = dict(zip(("episode 0", "episode 1"), json.loads((data / "truth.json").read_text())["xi"], strict=True))
+    fitted = {row["robot"]: row["parameters"] for row in json.loads((fit / "fit.json").read_text())["robots"]}
+    assert found.keys() == fitted.keys() == true.keys()
+    for robot, rows in fitted.items():
+        for value, (name, row) in zip(true[robot], rows.items(), strict=True):
+            assert found[robot][name] == {"error": row["value"] - value, "cramer_rao": row["cramer_rao"]}
 
 
 def test_evaluate_refuses_the_truth_of_other_recordings(folder, tmp_path):
