@@ -216,6 +216,11 @@ def test_the_smoothed_posteriors_stay_where_nothing_is_surely_better():
     assert winner(spread + 0.1) == SMOOTHED
     assert winner(0.1 * spread + 0.1) == "other"
     assert winner(-0.5 + 0 * spread) == SMOOTHED
+    # one robot that the smoothed posteriors miss by far does not hide what the other gains of all others
+    gain = np.full(10, 0.5)
+    gain[3] = 500.0
+    base = base - gain
+    assert winner(gain) == "other"
 
 
 @pytest.fixture(scope="module")

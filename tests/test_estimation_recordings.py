@@ -57,7 +57,7 @@ def test_memory_is_bounded_without_changing_a_number(monkeypatch):
     _, parts = both_stages(linear_simulator(), dataset)
     # a vector of 12 windows may begin just below the limit
     assert max(sizes) <= 100 + 12 * 2
-    assert parts.population.means.tolist() == whole.population.means.tolist()
+    assert parts.population.gaussians.means.tolist() == whole.population.gaussians.means.tolist()
 
 
 def test_a_thousand_short_episodes():

@@ -63,8 +63,11 @@ class Flow(nn.Module):
     def rsample(self, n: int, generator: torch.Generator) -> Tensor:
         """Draw n points (n, D) that can be differentiated by the weights; only `generator` is used up."""
         noise = torch.randn(n, self.features, generator=generator, dtype=torch.float64, device=generator.device)
-        u = self.flow().transform.inv(noise.to(self.loc.device))
-        return self.loc + torch.exp(self.log_scale) * u
+        return self.from_normal(noise.to(self.loc.device))
+
+    def from_normal(self, noise: Tensor) -> Tensor:
+        """The map from standard normal points (n, D) to the density's (n, D); differentiable in both."""
+        return self.loc + torch.exp(self.log_scale) * self.flow().transform.inv(noise)
 
     @torch.no_grad()
     def sample(self, n: int, generator: torch.Generator) -> Tensor:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.em import fit_mixture, spread_out
+from nfpde.estimation.trajectory.flows import fit_flows
 from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.information import inverse
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
-from nfpde.estimation.trajectory.pool import Ratios
+from nfpde.estimation.trajectory.pool import Population, Ratios
 from nfpde.estimation.trajectory.sharpening import Kernels
 
 Array = NDArray[np.float64]
@@ -38,6 +39,10 @@ MOST_KERNELS = 50
 
 SMOOTHED = "smoothed posteriors"
 
+FLOW = "a normalizing flow"
+"""Takes part where every fold leaves a robot out and as many robots stay as there are folds, less one: of fewer robots
+the end of its training would be read off a handful."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -50,8 +55,8 @@ class Candidate:
     """
 
     name: str
-    whole: Gaussians
-    without: Sequence[Gaussians]
+    whole: Population
+    without: Sequence[Population]
     scores: Array
 
 
@@ -66,11 +71,13 @@ class Competition:
     def winner(self) -> Candidate:
         """The one with the best held-out likelihood.
 
-        The smoothed posteriors stay unless it gains more than the standard error of the gain over the robots.
+        The smoothed posteriors stay unless it gains more than the standard error of the gain over the robots. Both
+        count with the bounds' share in them that one robot more than were recorded leaves to kinds unseen (Laplace's
+        rule of succession): else the standard error would be that of the one robot which either predicts worst.
         """
         first = self.candidates[0]
         best = max(self.candidates, key=lambda c: float(c.scores.mean()))
-        gain = best.scores - first.scores
+        gain = _with_bounds(best.scores) - _with_bounds(first.scores)
         error = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else np.inf
         return best if gain.mean() > error else first
 
@@ -79,7 +86,7 @@ class Competition:
         """Names of the candidates that predict best."""
         return [c.name for c in sorted(self.candidates, key=lambda c: -float(c.scores.mean()))[:FINALISTS]]
 
-    def others_of(self, g: int) -> Gaussians:
+    def others_of(self, g: int) -> Population:
         """The winning population without robot g (and those of its fold)."""
         return self.winner.without[self.fold[g]]
 
@@ -91,6 +98,7 @@ def compete(
     ratios: Ratios,
     smoothing: Array,
     among: Collection[str] | None = None,
+    seed: int = 0,
 ) -> Competition:
     """Fit every candidate to all robots and to all but each fold, and score it on the robots left out.
 
@@ -102,6 +110,7 @@ def compete(
         smoothing: covariance of the kernel with which the robots' posteriors predict others best, (D, D): see
             `smoothing_matrix`.
         among: names of the candidates that take part; None for all. `SMOOTHED` always does.
+        seed: of the flow's first weights and draws.
     """
     robots = len(posteriors)
     fold = np.arange(robots) % min(robots, FOLDS)
@@ -133,14 +142,26 @@ def compete(
                     shape = "one shape" if tied else "own shapes"
                     name = f"{k} Gaussians of {shape}, {width:g} of the spread wide at first"
                 fitters[name] = partial(_mixture, ratios, best / spread, spread, k=k, prior=prior, tied=tied)
+    parts = [np.arange(robots), *(np.flatnonzero(fold != f) for f in range(fold.max() + 1))]
+    fitted: dict[str, Sequence[Population]] = {
+        name: [fitter(own) for own in parts]
+        for name, fitter in fitters.items()
+        if among is None or name in among or name == SMOOTHED
+    }
+    if robots >= FOLDS and (among is None or FLOW in among):
+        one = partial(_mixture, ratios, best / spread, spread, k=1, prior=np.diag(spread**2) + blind, tied=True)
+        fitted[FLOW] = fit_flows(ratios, [one(own) for own in parts], parts, seed)
     candidates = []
-    for name, fitter in fitters.items():
-        if among is not None and name not in among and name != SMOOTHED:
-            continue
-        without = [fitter(np.flatnonzero(fold != f)) for f in range(fold.max() + 1)]
+    for name, (whole, *without) in fitted.items():
         scores = np.array([ratios.log_evidence(g, without[fold[g]]) for g in range(robots)])
-        candidates.append(Candidate(name, fitter(np.arange(robots)), without, scores))
+        candidates.append(Candidate(name, whole, without, scores))
     return Competition(candidates, fold)
+
+
+def _with_bounds(scores: Array) -> Array:
+    """Scores [nats] of populations that keep one part in G + 1 for the uniform box, whose own scores are 0."""
+    robots = len(scores)
+    return np.logaddexp(scores + np.log(robots / (robots + 1)), -np.log(robots + 1))
 
 
 def untold(posteriors: Sequence[LocalPosterior], spread: Array) -> Array:

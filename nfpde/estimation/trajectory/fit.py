@@ -15,13 +15,15 @@ from nfpde.estimation.result import FitResult, versions
 from nfpde.estimation.run import run_estimator
 from nfpde.estimation.trajectory.advice import record_next
 from nfpde.estimation.trajectory.describe import describe_population, describe_robots
+from nfpde.estimation.trajectory.flows import FlowPopulation
 from nfpde.estimation.trajectory.gaussians import Gaussians, joined
 from nfpde.estimation.trajectory.identify import Knowledge, describe_knowledge
+from nfpde.estimation.trajectory.pool import Population
 from nfpde.estimation.trajectory.population import prior_density
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.residuals import channel_errors
 from nfpde.estimation.trajectory.stages import TwoStages
-from nfpde.flow import GaussianMixture
+from nfpde.flow import Density, GaussianMixture
 
 
 def fit_trajectory(
@@ -85,6 +87,9 @@ def equal_mixture(parts: Sequence[Gaussians]) -> Gaussians:
     return joined(list(parts), np.full(len(parts), 1 / len(parts)))
 
 
-def as_density(g: Gaussians) -> GaussianMixture:
-    """The same mixture as a density that can be saved."""
+def as_density(population: Population) -> Density:
+    """The same as a density that can be saved."""
+    if isinstance(population, FlowPopulation):
+        return population.flow
+    g = population.gaussians
     return GaussianMixture(*(torch.from_numpy(a) for a in (g.weights, g.means, g.covariances)))

@@ -29,6 +29,11 @@ class Gaussians:
     means: Array
     covariances: Array
 
+    @property
+    def gaussians(self) -> Gaussians:
+        """Itself: what a population of any other kind has to be approximated by."""
+        return self
+
     def log_terms(self, z: Array) -> Array:
         """Log of every component's part of the density at z (n, D), [nats], (n, K)."""
         lower = np.linalg.cholesky(self.covariances)

@@ -17,7 +17,7 @@ from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.noise import Noise
-from nfpde.estimation.trajectory.pool import Pool, Ratios
+from nfpde.estimation.trajectory.pool import Pool, Population, Ratios
 from nfpde.estimation.trajectory.population import smoothing_matrix
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.ridges import along_ridges, onto_ridges
@@ -117,7 +117,7 @@ class PopulationEstimator:
         return self.history[-1]
 
     @property
-    def population(self) -> Gaussians:
+    def population(self) -> Population:
         """The population; of a single robot its own posterior, from which nothing can be learned about others."""
         if self.competition is None:
             return self.robot_posteriors()[0]
@@ -176,7 +176,7 @@ class PopulationEstimator:
         self.ratios = self.pool.ratios(self.quadratics, self.least)
         if self.robots > 1:
             self.competition = compete(
-                self.posteriors, self.chains, self.quadratics, self.ratios, self.smoothing, self.among
+                self.posteriors, self.chains, self.quadratics, self.ratios, self.smoothing, self.among, self.seed
             )
 
     def _temperatures(self) -> list[float]:
@@ -199,9 +199,9 @@ class PopulationEstimator:
                 proposals.append(widened(p))
             else:
                 others = competition.others_of(g)
-                proposals.append(next_proposal(self._informed(g, others), p, others))
+                proposals.append(next_proposal(self._informed(g, others), p, others.gaussians))
         return proposals
 
-    def _informed(self, g: int, others: Gaussians) -> Gaussians:
+    def _informed(self, g: int, others: Population) -> Gaussians:
         """Robot g's posterior with the population of the others for prior, by Laplace's method."""
-        return self.quadratics[g].times(others).reduced(max(MOST, len(self.local[g].weights)), 1e-3)
+        return self.quadratics[g].times(others.gaussians).reduced(max(MOST, len(self.local[g].weights)), 1e-3)

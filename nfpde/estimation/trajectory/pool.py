@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,19 @@ def effective(log_weights: Array) -> float:
 def box_log_density(z: Array) -> Array:
     """Log density [nats] of the uniform prior over the box, seen in z (n, D): logistic, (n,)."""
     return (log_expit(z) + log_expit(-z)).sum(-1)
+
+
+class Population(Protocol):
+    """What robots come from: `Gaussians`, or a flow."""
+
+    def log_density(self, z: Array) -> Array:
+        """Log density [nats] at z (n, D), (n,)."""
+        ...
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """As a mixture of Gaussians, for what needs one: products with quadratic likelihoods, proposals."""
+        ...
 
 
 @dataclass
@@ -130,7 +143,7 @@ class Ratios:
     effective: Array
     sampled: NDArray[np.bool_]
 
-    def log_evidence(self, g: int, population: Gaussians) -> float:
+    def log_evidence(self, g: int, population: Population) -> float:
         """Log of the likelihood of robot g's recordings under a population, less that under the uniform box [nats]."""
         return float(np.asarray(logsumexp(self.log_ratio[g] + population.log_density(self.z[g]))))
 
@@ -139,7 +152,7 @@ class Ratios:
         logs = self.log_ratio[g] + box_log_density(self.z[g])
         return np.exp(logs - np.asarray(logsumexp(logs)))
 
-    def weights(self, g: int, population: Gaussians) -> Array:
+    def weights(self, g: int, population: Population) -> Array:
         """Posterior weights of robot g's draws with `population` for prior, of sum 1, (n,)."""
         logs = self.log_ratio[g] + population.log_density(self.z[g])
         return np.exp(logs - np.asarray(logsumexp(logs)))
