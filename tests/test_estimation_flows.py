@@ -10,7 +10,7 @@ from nfpde.estimation.trajectory.compete import FLOW
 from nfpde.estimation.trajectory.flows import FlowPopulation, fit_flows
 from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.pool import Ratios, box_log_density
-from nfpde.flow import Flow, build_flow
+from nfpde.flow import Adam, Flow, build_flow
 from tests.linear_robots import both_stages, linear_simulator, moments
 
 torch.set_num_threads(1)
@@ -66,6 +66,20 @@ def test_gaussians_of_a_flow_that_does_not_bend_are_its_one_gaussian(features):
     covariance = np.einsum("k,kij->ij", g.weights, g.covariances) + (off.T * g.weights) @ off
     size = np.exp(flow.log_scale.numpy())
     np.testing.assert_allclose(covariance / np.outer(size, size), np.eye(features), atol=1e-9)
+
+
+def test_adam_is_torchs():
+    """Twenty steps of both from the same weights down the same loss."""
+    z = torch.from_numpy(bent(50, np.random.default_rng(0)))
+    ours, theirs = build_flow(2, seed=2), build_flow(2, seed=2)
+    mine, reference = Adam(ours.parameters(), 0.01), torch.optim.Adam(theirs.parameters(), lr=0.01)
+    for _ in range(20):
+        mine.step(-ours.log_prob(z).mean())
+        reference.zero_grad()
+        (-theirs.log_prob(z).mean()).backward()
+        reference.step()
+    for a, b in zip(ours.parameters(), theirs.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-8, atol=1e-10)
 
 
 @pytest.fixture(scope="module")

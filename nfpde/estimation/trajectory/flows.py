@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.pool import Ratios
-from nfpde.flow import Flow, build_flow
+from nfpde.flow import Adam, Flow, build_flow
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -96,7 +96,7 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
         A flow for each part.
     """
     flows = [_begun(start, seed) for start in starts]
-    optimizers = [torch.optim.Adam(flow.parameters(), lr=RATE) for flow in flows]
+    optimizers = [Adam(flow.parameters(), RATE) for flow in flows]
     rng = np.random.default_rng([seed, 2])
     drawn = _Drawn.of(ratios, starts[0])
     judging = max(FEWEST, JUDGED // len(parts[0]))
@@ -105,10 +105,8 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
     for step in range(1, STEPS + 1):
         for flow, optimizer, own in zip(flows, optimizers, parts, strict=True):
             robots = own if len(own) <= ROBOTS else rng.choice(own, ROBOTS, replace=False)
-            optimizer.zero_grad()
             loss = -_log_evidence(flow, drawn.some(robots, min(DRAWS, POINTS // len(robots)), rng)).mean()
-            loss.backward()
-            optimizer.step()
+            optimizer.step(loss)
         if step % CHECK == 0:
             now = _score(flows[1:], judged)
             looks += 1
