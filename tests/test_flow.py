@@ -15,7 +15,17 @@ from nfpde.parameters import Parameter, ParameterSpace
 torch.set_num_threads(1)  # the tensors are small: more threads only wait for each other
 
 SPACE = ParameterSpace([Parameter("a", low=-1.0, high=3.0), Parameter("b", low=0.0, high=1e-3)])
-KINDS = [("nsf", 1), ("realnvp", 2), ("nsf", 2), ("maf", 2), ("realnvp", 5), ("mixture", 1), ("mixture", 3)]
+KINDS = [
+    ("nsf", 1),
+    ("realnvp", 2),
+    ("nsf", 2),
+    ("maf", 2),
+    ("realnvp", 5),
+    ("sheared", 2),
+    ("sheared", 4),
+    ("mixture", 1),
+    ("mixture", 3),
+]
 
 
 def seeded(seed):
@@ -29,7 +39,9 @@ def make(kind, features, seed=0) -> Any:
         a = torch.randn(3, features, features, generator=g, dtype=torch.float64)
         means = 2 * torch.randn(3, features, generator=g, dtype=torch.float64)
         return GaussianMixture(torch.tensor([0.2, 0.5, 0.3]), means, a @ a.mT + 0.1 * torch.eye(features))
-    flow = build_flow(features, kind, transforms=3, hidden_features=(16, 16), seed=seed)
+    sheared = kind == "sheared"
+    kind = "realnvp" if sheared else kind
+    flow = build_flow(features, kind, transforms=3, hidden_features=(16, 16), sheared=sheared, seed=seed)
     with torch.no_grad():
         for p in flow.parameters():
             p.add_(0.1 * torch.randn(p.shape, generator=g, dtype=torch.float64))
@@ -236,6 +248,22 @@ def test_standardise_takes_the_weighted_moments():
     torch.testing.assert_close(flow.log_scale.exp().detach(), torch.tensor([1.0, 2.0], dtype=torch.float64))
     with pytest.raises(BadInput, match="vary in every feature"):
         flow.standardise(torch.ones(4, 2, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("sheared", [True, False])
+def test_a_flow_starts_at_a_gaussian(sheared):
+    """Log densities are scipy's, correlations included only where it is sheared, but for the per cent of the start."""
+    g = seeded(3)
+    a = torch.randn(4, 4, generator=g, dtype=torch.float64)
+    mean, covariance = torch.randn(4, generator=g, dtype=torch.float64), a @ a.mT + 0.1 * torch.eye(4)
+    flow = build_flow(4, "realnvp", sheared=sheared)
+    flow.start_at(mean, covariance)
+    expected = scipy.stats.multivariate_normal(mean, covariance if sheared else torch.diag(covariance.diagonal()))
+    z = expected.rvs(200, random_state=0)
+    with torch.no_grad():
+        found = flow.log_prob(torch.from_numpy(z)).numpy()
+    np.testing.assert_allclose(found, expected.logpdf(z), atol=0.2)
+    assert np.mean(found - expected.logpdf(z)) == pytest.approx(0, abs=0.02)
 
 
 def test_mixture_agrees_with_scipy():

@@ -28,6 +28,8 @@ class Flow(nn.Module):
     and `scale` is `INITIAL_SCALE`: the parameters then cover their box almost evenly, whatever the seed.
     The inputs of T's networks saturate (softly, at 5), so log densities stay finite and fall about
     quadratically far outside the data.
+    A sheared flow divides by a lower triangular matrix in the place of `scale`, whose diagonal `scale` is: it can then
+    begin as any Gaussian, its correlations included.
 
     Use `build_flow` to make one.
 
@@ -36,9 +38,14 @@ class Flow(nn.Module):
         kind: `realnvp`, `nsf` or `maf`.
         hidden_features: Widths of the hidden layers of T's networks.
         transforms: Number of coupling or autoregressive layers.
+        sheared: Whether there is a matrix in the place of `scale`.
     """
 
-    def __init__(self, features: int, kind: FlowKind, hidden_features: Sequence[int], transforms: int) -> None:
+    shear: Tensor | None
+
+    def __init__(
+        self, features: int, kind: FlowKind, hidden_features: Sequence[int], transforms: int, sheared: bool = False
+    ) -> None:
         super().__init__()
         self.features = features
         self.kind: FlowKind = kind
@@ -52,12 +59,17 @@ class Flow(nn.Module):
         self.flow = family(features, transforms=transforms, hidden_features=self.hidden_features).double()
         self.loc = nn.Parameter(torch.zeros(features, dtype=torch.float64))
         self.log_scale = nn.Parameter(torch.full((features,), math.log(INITIAL_SCALE), dtype=torch.float64))
+        # below the diagonal, in units of it
+        self.shear = nn.Parameter(torch.zeros(features, features, dtype=torch.float64)) if sheared else None
         for layer in cast(zuko.lazy.LazyComposedTransform, self.flow.transform).transforms:
             _start_near_identity(layer)
 
     def log_prob(self, z: Tensor) -> Tensor:
         """Log density [nats] of z (..., D), shape (...); differentiable in z and in the weights."""
         u = (z - self.loc) * torch.exp(-self.log_scale)
+        if self.shear is not None:
+            lower = torch.tril(self.shear, -1)
+            u = torch.linalg.solve_triangular(lower, u[..., None], upper=False, unitriangular=True)[..., 0]
         return self.flow().log_prob(u) - self.log_scale.sum()
 
     def rsample(self, n: int, generator: torch.Generator) -> Tensor:
@@ -67,7 +79,10 @@ class Flow(nn.Module):
 
     def from_normal(self, noise: Tensor) -> Tensor:
         """The map from standard normal points (n, D) to the density's (n, D); differentiable in both."""
-        return self.loc + torch.exp(self.log_scale) * self.flow().transform.inv(noise)
+        u = self.flow().transform.inv(noise)
+        if self.shear is not None:
+            u = u + u @ torch.tril(self.shear, -1).mT
+        return self.loc + torch.exp(self.log_scale) * u
 
     @torch.no_grad()
     def sample(self, n: int, generator: torch.Generator) -> Tensor:
@@ -94,6 +109,23 @@ class Flow(nn.Module):
         self.loc.copy_(mean)
         self.log_scale.copy_(std.log())
 
+    @torch.no_grad()
+    def start_at(self, mean: Tensor, covariance: Tensor) -> None:
+        """Set `loc`, `scale` and `shear` to those of a Gaussian, so that training starts there.
+
+        Args:
+            mean: (D,).
+            covariance: (D, D), positive definite; a flow that is not sheared takes its diagonal alone.
+        """
+        self.loc.copy_(mean)
+        if self.shear is None:
+            self.log_scale.copy_(0.5 * torch.diagonal(covariance).log())
+            return
+        lower = torch.linalg.cholesky(covariance)
+        scale = torch.diagonal(lower)
+        self.log_scale.copy_(scale.log())
+        self.shear.copy_(lower / scale[:, None] - torch.eye(self.features, dtype=lower.dtype))
+
     def config(self) -> dict[str, Any]:
         """Kind and sizes as JSON; `make_density` builds a flow of the same shape from it."""
         return {
@@ -101,6 +133,7 @@ class Flow(nn.Module):
             "features": self.features,
             "hidden_features": list(self.hidden_features),
             "transforms": self.transforms,
+            **({} if self.shear is None else {"sheared": True}),
         }
 
 
@@ -110,6 +143,7 @@ def build_flow(
     *,
     hidden_features: Sequence[int] = (64, 64),
     transforms: int | None = None,
+    sheared: bool = False,
     seed: int = 0,
 ) -> Flow:
     """Build a flow over the unconstrained parameters; torch's global generator stays as it was.
@@ -125,6 +159,7 @@ def build_flow(
         kind: `auto` is `realnvp`, and `nsf` for one feature.
         hidden_features: Widths of the hidden layers.
         transforms: Number of layers; None is 6, and 3 for `nsf`.
+        sheared: Whether a triangular matrix takes over correlations, see `Flow`.
         seed: Of the first weights.
 
     Raises:
@@ -152,7 +187,7 @@ def build_flow(
         )
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
-        return Flow(features, kind, hidden_features, transforms)
+        return Flow(features, kind, hidden_features, transforms, sheared)
 
 
 def _start_near_identity(layer: nn.Module) -> None:

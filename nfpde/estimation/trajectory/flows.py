@@ -23,11 +23,12 @@ Index = NDArray[np.intp]
 HIDDEN, TRANSFORMS = (32, 32), 4
 """Sizes of the flow: populations are learned from tens of robots, seldom from thousands."""
 
-RATE, STEPS = 1e-2, 200
+RATE, STEPS = 3e-3, 300
 """Of Adam; most steps of it."""
 
-CHECK, PATIENCE = 10, 4
-"""Steps between two looks at the robots left out, and looks without a gain after which training ends."""
+CHECK, PATIENCE, LOST = 10, 4, 1.0
+"""Steps between two looks at the robots left out; training ends after as many looks without a gain, or at once where
+as many nats a robot are lost."""
 
 ROBOTS, POINTS, DRAWS = 64, 512, 32
 """In a step of training, at most: robots, draws of all of them together, draws of one."""
@@ -88,7 +89,7 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
 
     Args:
         ratios: what the recordings say.
-        starts: one Gaussian for each part, in whose place and widths its flow begins.
+        starts: one Gaussian for each part, as which its flow begins.
         parts: the robots that each flow is fitted to: all of them, then all but each fold.
         seed: of first weights and draws.
 
@@ -112,7 +113,7 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
             looks += 1
             if now > score:
                 best, score, looks = [copy.deepcopy(flow.state_dict()) for flow in flows], now, 0
-            if looks == PATIENCE:
+            if looks == PATIENCE or now < score - LOST * len(parts[0]):
                 break
     for flow, state in zip(flows, best, strict=True):
         flow.load_state_dict(state)
@@ -121,11 +122,9 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
 
 
 def _begun(start: Gaussians, seed: int) -> Flow:
-    """A flow close to a Gaussian with the means and standard deviations of one Gaussian."""
-    flow = build_flow(start.means.shape[1], hidden_features=HIDDEN, transforms=TRANSFORMS, seed=seed)
-    with torch.no_grad():
-        flow.loc.copy_(torch.from_numpy(start.means[0]))
-        flow.log_scale.copy_(torch.from_numpy(0.5 * np.log(np.diag(start.covariances[0]))))
+    """A flow within about a percent of a Gaussian."""
+    flow = build_flow(start.means.shape[1], hidden_features=HIDDEN, transforms=TRANSFORMS, sheared=True, seed=seed)
+    flow.start_at(torch.from_numpy(start.means[0]), torch.from_numpy(start.covariances[0]))
     return flow
 
 
