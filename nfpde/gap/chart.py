@@ -87,6 +87,12 @@ def all_over(replay: Replay, index: int, xi: Array, count: int, share: float = 1
     return found
 
 
+def evenly(replay: Replay, count: int) -> Array:
+    """Guesses (count, D) of free parameters all over their bounds, in the chart's coordinates."""
+    chart = Chart(replay)
+    return chart.outward(chart.low + (chart.high - chart.low) * _even(count, replay.nfree))
+
+
 def _even(count: int, size: int) -> Array:
     """Points spread evenly over the unit cube (count, size), shifted at random."""
     if size == 1:

@@ -96,11 +96,11 @@ class Selection(Rounds):
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self.refitted(current, [a.effect for a in accepted])
             found = self.accept(current, trials, first_gap)
-            idle = None if found is None else self._idle(found[0])
+            idle = None if found is None else self._idle(found[0], current, first_gap)
             if found is not None and idle is None and self._asks_for_twins(found[0]):
                 first = found[0]
                 trials, found = self._beside_twins(current, found, trials, accepted, first_gap)
-                idle = None if found[0] is first else self._idle(found[0])
+                idle = None if found[0] is first else self._idle(found[0], current, first_gap)
             self.ranking, self.asked = self.ranking or trials, found is None
             if found is None:
                 break
@@ -205,13 +205,23 @@ class Selection(Rounds):
             found, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
         return (found if found in (trial, base) else self._linear(found, fitted=True)), accepted
 
-    def _idle(self, trial: Trial) -> Trial | None:
-        """The same place without the last effect, refitted, where that effect does nothing: others had been stuck."""
+    def _idle(self, trial: Trial, current: Trial, first_gap: float) -> Trial | None:
+        """The same place without the last effect, refitted, where that effect does nothing: others had been stuck.
+
+        Beside contacts an effect of next to no size may lead the others from one pit to a deeper one: it does nothing
+        where it would not be accepted there, beside the others alone.
+        """
         replay = trial.fit.replay
         smaller, keep = self.replay(replay.effects[:-1]), replay.columns(len(replay.effects) - 1).start
         fit = self.court.fitter.start(smaller, trial.fit.xi[:keep][None], trial.fit.scatter)
         self.count(smaller)
-        return self._converged(fit) if fit.cost - trial.fit.cost < LEAST_GAIN else None
+        if fit.cost - trial.fit.cost < LEAST_GAIN:
+            return self._converged(fit)
+        if self.sigma is None or not keep:
+            return None
+        found = self._converged(fit)
+        deeper = self.gap_of(found) < self.gap_of(current)
+        return found if deeper and self.accept(found, [trial], first_gap) is None else None
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
         """The trial with slopes at its place, after a fit to the end unless it is fitted already."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.gap.chart import evenly
 from nfpde.gap.directions import likeliest_directions, noise_covariance
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm
@@ -21,6 +22,11 @@ Array = NDArray[np.float64]
 
 WORSE = 2.0
 """Mean gap of the windows at the beginning of episodes, in that of the others, from which they are looked at too."""
+
+
+LOOKS, PITS = 32, 3
+"""Values looked at all over the bounds of free parameters, for each of them, and the best of these to fit from: where
+contacts are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +83,12 @@ def first_fit(start: Replay, recordings: Recordings, guesses: Array, *, capped: 
     moved = _moved(start, recordings)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
-    fit = fitter.improve(fitter.start(start, guesses, scatter), 6)
+    starts = [guesses]
+    if capped and start.nfree:
+        # what contacts do has pits between the guesses and the truth, from which slopes lead nowhere
+        everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
+        starts += [xi[None] for xi in fitter.best(start, everywhere, scatter, PITS)]
+    fit = min((fitter.improve(fitter.start(start, some, scatter), 6) for some in starts), key=lambda f: f.cost)
     share = CAPPED if capped else 0.0
     court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], share)
     fit = court.settle(fit, rounds=1, iterations=5)
