@@ -204,12 +204,56 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
     selection = Stuck(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
-    found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start, np.zeros(50)))
+    found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start, np.zeros(50)), ANYTHING, 1.0)
     assert (found is not None) is idle
     assert selection.steps > 0
     assert Stuck.smaller.sim.simulated_steps == 0
     if idle:
         assert found.xi == pytest.approx([0.3])
+
+
+class Deeper(Stuck):
+    """Beside contacts: a selection that knows gaps, and whether it would accept."""
+
+    gaps: Any = None
+    accepts: Any = None
+
+    def gap_of(self, trial) -> Any:
+        return self.gaps[trial]
+
+    def accept(self, current, trials, first_gap) -> Any:
+        return self.accepts
+
+
+@pytest.mark.parametrize(
+    ("gap", "accepts", "sigma", "idle"),
+    [(1.0, None, 1.0, True), (1.0, "it", 1.0, False), (9.0, None, 1.0, False), (1.0, None, None, False)],
+)
+def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_for_there(gap, accepts, sigma, idle):
+    """Only beside contacts, only where the others alone are better off than before, only if it is refused there."""
+    rng = np.random.default_rng(31)
+    one, other = rng.normal(size=(2, 50, 1, 2))
+    start = -0.3 * one - 0.7 * other + 1e-3 * rng.normal(size=one.shape)
+    scatter = learn_scatter(1e-3 * rng.normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
+    fitter = Fitter(ANYTHING, (1, 2))
+    both: Any = Line(start, [one, other], ["effect"])
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    sigmas = None if sigma is None else np.full(2, sigma)
+    selection = Deeper(ANYTHING, None, 1, court, [], yardstick=ANYTHING, sigma=sigmas)
+    smaller = Line(start, [one], [])
+    selection.smaller, selection.accepts = smaller, accepts
+    trial = Trial(ANYTHING, fitter.start(both, np.array([[0.3, 0.7]]), scatter), np.zeros(50), start, np.zeros(50))
+    before: Any = "before"
+
+    class Gaps(dict):
+        def __missing__(self, key):
+            return gap
+
+    selection.gaps = Gaps({before: 5.0})
+    found: Any = selection._idle(trial, before, 10.0)
+    assert (found is not None) is idle
+    if idle:
+        assert found.replay is smaller
 
 
 class Settled(Selection):

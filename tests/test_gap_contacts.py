@@ -1,5 +1,7 @@
 """The diagnosis beside contacts, where small changes make jumps."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,10 +11,12 @@ from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.brief import brief, shorter
 from nfpde.gap.chart import Chart
+from nfpde.gap.fit import Fitter
+from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.stage import first_fit, in_noise
+from nfpde.gap.stage import best_of_pits, first_fit, in_noise
 from nfpde.parameters import Parameter, ParameterSpace
 
 BALL = """
@@ -171,6 +175,34 @@ def test_parameters_are_found_beside_contacts(seed):
     found, _ = first_fit(replay, recordings, np.array([[7.9, 59.0]]), capped=True)
     # noise of the starts passes through the contacts: it does not only scatter the values, it shifts them
     assert found.fit.xi == pytest.approx([2.0, 30.0], rel=0.05)
+
+
+class Pitted:
+    """A replay of one parameter: a slope that leads to .3 from everywhere, and a pit every twelfth on the way."""
+
+    low, high, nfree, effects = np.zeros(1), np.ones(1), 1, ()
+
+    def inward(self, xi):
+        return xi
+
+    def outward(self, u):
+        return u
+
+    def residuals(self, xi, windows, horizons, force=None):
+        off = xi[:, 0] - 0.3
+        both = np.stack([off, 0.25 * np.sin(12 * np.pi * off)], -1)
+        return np.tile(both[:, None, None], (1, 50, 1, 1))
+
+
+def test_parameters_are_looked_for_behind_pits():
+    """From the far end slopes stop in the nearest pit; looks all over the bounds find the deepest."""
+    anything: Any = None
+    pitted: Any = Pitted()
+    fitter, far = Fitter(anything, (1, 2)), np.array([[0.95]])
+    scatter = learn_scatter(0.1 * np.random.default_rng(0).normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
+    stuck = fitter.improve(fitter.start(pitted, far, scatter), 6)
+    assert abs(stuck.xi[0] - 0.3) > 0.1
+    assert best_of_pits(fitter, pitted, far, scatter).xi == pytest.approx([0.3], abs=1e-3)
 
 
 PUCK = """

@@ -12,7 +12,7 @@ from nfpde.gap.directions import likeliest_directions, noise_covariance
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm
 from nfpde.gap.loud import loudness
-from nfpde.gap.noise import floor_of, learn_scatter, precision_of
+from nfpde.gap.noise import Scatter, floor_of, learn_scatter, precision_of
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
@@ -83,17 +83,28 @@ def first_fit(start: Replay, recordings: Recordings, guesses: Array, *, capped: 
     moved = _moved(start, recordings)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
-    starts = [guesses]
-    if capped and start.nfree:
-        # what contacts do has pits between the guesses and the truth, from which slopes lead nowhere
-        everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
-        starts += [xi[None] for xi in fitter.best(start, everywhere, scatter, PITS)]
-    fit = min((fitter.improve(fitter.start(start, some, scatter), 6) for some in starts), key=lambda f: f.cost)
+    fit = best_of_pits(fitter, start, guesses, scatter) if capped else _improved(fitter, start, guesses, scatter)
     share = CAPPED if capped else 0.0
     court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], share)
     fit = court.settle(fit, rounds=1, iterations=5)
     court = replace(court, floor=floor_of(fit.residuals, moved))
     return _judged(court.settle(fit, rounds=1, iterations=5), court, moved)
+
+
+def best_of_pits(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -> Fit:
+    """The best of fits from several places: from the guesses (G, D), and from the best of looks all over the bounds.
+
+    What contacts do has pits between the guesses and the truth, from which slopes lead nowhere.
+    """
+    starts = [guesses]
+    if start.nfree:
+        everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
+        starts += [xi[None] for xi in fitter.best(start, everywhere, scatter, PITS)]
+    return min((_improved(fitter, start, some, scatter) for some in starts), key=lambda f: f.cost)
+
+
+def _improved(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -> Fit:
+    return fitter.improve(fitter.start(start, guesses, scatter), 6)
 
 
 def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
