@@ -111,7 +111,7 @@ def fit_flows(ratios: Ratios, starts: Sequence[Gaussians], parts: Sequence[Index
         if step % CHECK == 0:
             now = _score(flows[1:], judged)
             looks += 1
-            if now > score:
+            if now > score and _sound(flows[0]):
                 best, score, looks = [copy.deepcopy(flow.state_dict()) for flow in flows], now, 0
             if looks == PATIENCE or now < score - LOST * len(parts[0]):
                 break
@@ -165,6 +165,11 @@ def _log_evidence(flow: Flow, drawn: tuple[Tensor, Tensor]) -> Tensor:
     z, log_density = drawn
     logs = flow.log_prob(z.reshape(-1, z.shape[2])).reshape(z.shape[:2]) - log_density
     return torch.logsumexp(logs, 1)
+
+
+def _sound(flow: Flow) -> bool:
+    """Whether training has not broken a flow that no robot left out judges."""
+    return all(bool(torch.isfinite(p).all()) for p in flow.parameters())
 
 
 def _score(flows: Sequence[Flow], judged: Sequence[tuple[Tensor, Tensor]]) -> float:
