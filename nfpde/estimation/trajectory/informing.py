@@ -63,8 +63,8 @@ class PopulationEstimator:
         self.chains = along_ridges(self.problem, self.noise, self.posteriors)
         self.quadratics = [Quadratic.of(p) for p in self.chains]
         self.linked = [chain is not p for chain, p in zip(self.chains, self.posteriors, strict=True)]
-        self.local = [Gaussians(p.weights, p.means, p.covariances) for p in self.chains]
-        self.local = [p if ok else p.heaviest(MOST, 1e-3) for p, ok in zip(self.local, self.linked, strict=True)]
+        parts = [Gaussians(p.weights, p.means, p.covariances) for p in self.chains]
+        self.local = [p if ok else p.heaviest(MOST, 1e-3) for p, ok in zip(parts, self.linked, strict=True)]
         self.smoothing, _ = smoothing_matrix(self.posteriors)
         self.rng = np.random.default_rng([self.seed, 1])
         self.pool = Pool.empty(self.robots, self.features)
