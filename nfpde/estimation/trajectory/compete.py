@@ -40,8 +40,7 @@ MOST_KERNELS = 50
 SMOOTHED = "smoothed posteriors"
 
 FLOW = "a normalizing flow"
-"""Takes part where every fold leaves a robot out and as many robots stay as there are folds, less one: of fewer robots
-the end of its training would be read off a handful."""
+"""Takes part from `FOLDS` robots on: the end of its training would be read off a handful else."""
 
 
 @dataclass(frozen=True, eq=False)
