@@ -119,9 +119,9 @@ class TrajectoryEstimator:
         if linear is None:
             raise RuntimeError("no round has been made")
         begin = replace(linear, best=c.z[self._best()])
-        found, still = settle(self.measured, begin, scatter, self.chains, self.config.steps)
+        found, at, still = settle(self.measured, begin, scatter, self.chains, self.config.steps)
         self.converged = self.learned and still
-        at = self._linearise(found, scatter)
+        self._take(found, at)
         restart(self.problem, c, self.noise)
         c = c.joined(at.places(found))
         linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
@@ -137,7 +137,8 @@ class TrajectoryEstimator:
                     f"every simulation of the recordings of {self.problem.names[g]} diverged: leave it out, or check "
                     "its states (units, order of columns)"
                 )
-        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        if not self.settled:  # then they have been linearised last of all, see `_settle` and `restore`
+            linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         return local_posteriors(c, self.robots)
 
     def _first(self) -> None:
@@ -188,11 +189,13 @@ class TrajectoryEstimator:
         self._linearise(Linear(z, found.left, found.weights, found.errors), found.scatter)
         restart(self.problem, c, self.noise)
 
-    def _linearise(self, linear: Linear, scatter: Scatter) -> Linearised:
+    def _linearise(self, linear: Linear, scatter: Scatter) -> None:
         """Start the windows where the smoother puts them, and linearise there."""
-        at = Linearised.at(self.measured, linear, scatter, self.chains)
+        self._take(linear, Linearised.at(self.measured, linear, scatter, self.chains))
+
+    def _take(self, linear: Linear, at: Linearised) -> None:
+        """Go on with windows that are linearised."""
         self.linear, self.slopes, self.problem, self.noise = linear, at.slopes, at.problem, at.noise
-        return at
 
     def _moved(self, places: Array, information: Array) -> float:
         """The most that a robot has moved since the round before, in its own standard deviations."""

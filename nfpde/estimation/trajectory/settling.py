@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.chains import Chains
-from nfpde.estimation.trajectory.levenberg import Candidates, improve, start
+from nfpde.estimation.trajectory.levenberg import UNSEEN, Candidates, improve, start
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.scatter import smoothed
@@ -88,7 +88,9 @@ class Linearised:
         return places.cost - 2 * np.array([own[m].sum() for m in self.problem.members])
 
 
-def settle(measured: Problem, linear: Linear, scatter: Scatter, chains: Chains, steps: int) -> tuple[Linear, bool]:
+def settle(
+    measured: Problem, linear: Linear, scatter: Scatter, chains: Chains, steps: int
+) -> tuple[Linear, Linearised, bool]:
     """Turns of both until the parameters are still, and of those the likeliest for every robot.
 
     Args:
@@ -99,11 +101,13 @@ def settle(measured: Problem, linear: Linear, scatter: Scatter, chains: Chains, 
         steps: of Levenberg-Marquardt in a turn.
 
     Returns:
-        Where every robot's likelihood is highest, and whether the last turn has left all of them where they were.
+        Where every robot's likelihood is highest, the windows linearised there, and whether the last turn has left all
+        of them where they were.
     """
     at = Linearised.at(measured, linear, scatter, chains)
     c, still = at.places(linear), False
     best, least = linear, at.costs(c)
+    there: Linearised | None = at
     for _ in range(TURNS):
         improve(at.problem, c, at.noise, steps)
         still = farthest(c.z - linear.best, c.information) < STILL
@@ -112,10 +116,14 @@ def settle(measured: Problem, linear: Linear, scatter: Scatter, chains: Chains, 
         at = Linearised.at(measured, linear, scatter, chains)
         c = at.places(linear)
         costs = at.costs(c)
-        best, least = best.where(costs < least, linear, measured), np.minimum(costs, least)
+        if (costs < least - UNSEEN).any():
+            taken = costs < least + UNSEEN
+            # robots of different turns have not been linearised together
+            best, there = best.where(taken, linear, measured), at if taken.all() else None
+            least = np.where(taken, costs, least)
         if still:
             break
-    return best, still
+    return best, there or Linearised.at(measured, best, scatter, chains), still
 
 
 def farthest(steps: Array, information: Array) -> float:
