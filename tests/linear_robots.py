@@ -1,10 +1,11 @@
-"""Robots whose motion is linear in their parameters, and both stages of the fit by trajectories on them."""
+"""Robots whose motion is linear in their parameters, both stages of the fit by trajectories on them, sharp robots."""
 
 import numpy as np
 import torch
 
 import nfpde
 from nfpde.estimation.trajectory import make_problem
+from nfpde.estimation.trajectory.pool import Ratios, box_log_density
 from nfpde.estimation.trajectory.stages import TwoStages
 
 torch.set_num_threads(1)
@@ -33,6 +34,11 @@ def moments(name, xi, rng, count=12, noise=0.1, push=1.0):
         end = start + DT * (xi[0] * u + xi[1]) + noise * rng.normal(size=1)
         episodes.append(nfpde.Episode(f"{name}/{k}", [0, DT], [start, end], np.empty((2, 0)), [u, u], robot=name))
     return episodes
+
+
+def sharp(points):
+    """Ratios of robots that are known to be at `points` (G, D), above the uniform box as every robot's are."""
+    return Ratios(points[:, None], -box_log_density(points)[:, None], np.ones(len(points)), np.ones(len(points), bool))
 
 
 def both_stages(simulator, dataset, seed=0, resolution=None, horizon=1, **settings):

@@ -6,50 +6,19 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
-from typing import Any
 from unittest import mock
 
 import matplotlib.image
 import numpy as np
 import pytest
-import typer
 
-from nfpde.cli import app, main
 from nfpde.dataset import load_dataset
 from nfpde.distribution import ParameterDistribution
 from nfpde.estimation import FitResult
-from nfpde.flow import build_flow
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.truth import Truth
+from tests.command_line import TINY, plain, run
 from tests.models import PENDULUM
-
-SIZES = {"iterations": 3, "samples": 30, "transitions": 8, "gradient-steps": 2, "transforms": 2, "hidden": 8}
-TINY = [
-    "--quiet",
-    "--method",
-    "softmax",
-    *(text for name, value in SIZES.items() for text in (f"--{name}", str(value))),
-]
-
-
-def run(*arguments):
-    """Exit status, standard output and standard error of `nfpde ARGUMENTS`."""
-    out, err = StringIO(), StringIO()
-    argv = ["nfpde", *map(str, arguments)]
-    with mock.patch.object(sys, "argv", argv), redirect_stdout(out), redirect_stderr(err):
-        try:
-            main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code or 0
-    return status, out.getvalue(), err.getvalue()
-
-
-def plain(text):
-    """Words of a text without the frames around it."""
-    return " ".join(text.translate(dict.fromkeys(map(ord, "│╭╮╰╯─"), " ")).split())
 
 
 @pytest.fixture(scope="module")
@@ -189,37 +158,6 @@ def test_a_folder_of_recordings_is_read_whole(folder, tmp_path):
     assert both == 2 * one
 
 
-def commands(group: Any = None, path=()):
-    """Every command with its path."""
-    group = group or typer.main.get_command(app)
-    for name, command in group.commands.items():
-        if hasattr(command, "commands"):
-            yield from commands(command, (*path, name))
-        else:
-            yield (*path, name), command
-
-
-@pytest.mark.parametrize(("path", "command"), [*commands()], ids=lambda v: "-".join(v) if isinstance(v, tuple) else "")
-def test_help(path, command):
-    """Every argument and option of every command is explained, and so is the command."""
-    with mock.patch("typer.rich_utils.MAX_WIDTH", 250):  # no help text over several lines
-        status, out, _ = run(*path, "--help")
-    assert status == 0
-    assert command.help
-    for parameter in command.params:
-        assert parameter.help, parameter.name
-        assert len(parameter.help) > 5
-        assert plain(parameter.help) in plain(out), parameter.name
-
-
-def test_help_names_the_commands():
-    """Without arguments and with --help alike."""
-    for arguments in ((), ("--help",)):
-        _, out, err = run(*arguments)
-        for name in ("collect", "fit", "evaluate", "train", "bench"):
-            assert name in out + err
-
-
 TABLE = '[[parameter]]\nfield = "body_mass"\ntarget = "{target}"\nlow = {low}\nhigh = {high}\n'
 
 BAD = {
@@ -333,29 +271,6 @@ def test_the_folder_of_another_fit(folder):
     assert "seed: saved 0, now 9" in err
     assert "config" not in err
     assert (folder / "fit" / "fit.json").read_bytes() == before
-
-
-@pytest.fixture(scope="module")
-def pendulums(tmp_path_factory):
-    """A distribution over pendulums, as a folder."""
-    home = tmp_path_factory.mktemp("pendulums")
-    space = ParameterSpace([Parameter("body_mass", "pendulum", low=0.8, high=1.2)])
-    ParameterDistribution(space, build_flow(1, hidden_features=(8,))).save(home / "distribution")
-    Truth(space, np.array([[1.0], [1.1]]), ["a", "b"]).save(home / "truth.json")
-    return home
-
-
-def test_train(pendulums, tmp_path):
-    """A policy for pendulums, its returns as JSON and as a picture."""
-    sizes = ("--steps", 300, "--evaluation-every", 150, "--evaluation-episodes", 2, "--device", "cpu", "--quiet")
-    files = ("--distribution", pendulums, "--truth", pendulums / "truth.json", "--out", tmp_path / "policy")
-    status, out, err = run("train", "pendulum", *files, *sizes)
-    assert (status, err) == (0, "")
-    for name in ("policy.safetensors", "train.json", "returns.png"):
-        assert (tmp_path / "policy" / name).is_file()
-        assert name in out
-    json.loads((tmp_path / "policy" / "train.json").read_text())
-    assert min(matplotlib.image.imread(tmp_path / "policy" / "returns.png").shape[:2]) > 300
 
 
 COMMAND = """

@@ -16,10 +16,10 @@ from nfpde.estimation.trajectory.em import fit_mixture, spread_out
 from nfpde.estimation.trajectory.gaussians import Gaussians, joined
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.noise import Noise, Scatter
-from nfpde.estimation.trajectory.pool import Pool, Ratios, box_log_density, effective
+from nfpde.estimation.trajectory.pool import Pool, box_log_density, effective
 from nfpde.estimation.trajectory.sampling import corrected, temperature, widened
 from nfpde.estimation.trajectory.stages import TwoStages
-from tests.linear_robots import DT, both_stages, linear_simulator, moments
+from tests.linear_robots import DT, both_stages, linear_simulator, moments, sharp
 
 torch.set_num_threads(1)
 
@@ -182,11 +182,6 @@ def test_shares_of_links_are_laplaces_until_draws_tell():
     modes = Gaussians(np.array([0.999, 0.001]), np.array([[-10.0], [10.0]]), np.ones((2, 1, 1)))
     z = rng.normal(size=(1000, 1)) + np.where(np.arange(1000) < 500, -10.0, 10.0)[:, None]
     np.testing.assert_allclose(corrected(modes, z, np.full(1000, 1e-3), chain=False).weights, 0.5, atol=0.01)
-
-
-def sharp(points):
-    """Ratios of robots that are known to be at `points` (G, D)."""
-    return Ratios(points[:, None], np.zeros((len(points), 1)), np.ones(len(points)), np.ones(len(points), bool))
 
 
 @pytest.mark.parametrize("tied", [True, False])
