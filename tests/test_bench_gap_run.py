@@ -144,13 +144,45 @@ def test_a_table_goes_on_without_its_folder(stub, quick, tmp_path, monkeypatch):
         bench.run(31, out, cases=3, folder=tmp_path / "there", command=stub)
 
 
+def test_an_interrupted_run_leaves_the_table_of_what_is_finished(stub, quick, tmp_path, monkeypatch):
+    """Two of five systems are finished: the table has them and says so, and the same call goes on from there."""
+    folder, out, run_case = tmp_path / "work", tmp_path / "out", bench.run_case
+
+    def interrupted(case):
+        if case.index == 2:
+            raise KeyboardInterrupt
+        return run_case(case)
+
+    monkeypatch.setattr(bench, "run_case", interrupted)
+    with pytest.raises(KeyboardInterrupt, match="2 of 5 systems are finished, from which the same call goes on"):
+        bench.run(31, out, cases=5, folder=folder, command=stub)
+    assert len(json.loads((out / "gap.json").read_text())["rows"]) == 2
+    assert "Stopped after 2 of 5 systems." in (out / "gap.md").read_text()
+    monkeypatch.setattr(bench, "run_case", run_case)
+    assert [row.index for row in bench.run(31, out, cases=5, folder=folder, command=stub)] == [0, 1, 2, 3, 4]
+    assert "Stopped" not in (out / "gap.md").read_text()
+
+
+def test_an_interrupt_before_anything_is_finished_leaves_no_table(stub, quick, tmp_path, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench, "run_case", interrupted)
+    call = ["bench", "gap", "--seed", "31", "--cases", "2", "--folder", tmp_path / "work", "--out", tmp_path / "out"]
+    result = CliRunner().invoke(app, [*map(str, call)])
+    assert result.exit_code == 130
+    assert "nfpde: the benchmark stopped; 0 of 2 systems are finished" in result.output
+    assert "the same command goes on" in result.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_rows_are_read_as_they_were_written(tmp_path):
     """An error without bound too, which JSON cannot hold."""
     row = Row(
         3, "one", "arm", ["a @ b"], [2.0], "done", errors={"x": math.inf, "y": 0.1}, inside={"x": False}, seconds=2
     )
     facts: dict[str, Any] = {**dict.fromkeys(kept.SAME, "same")}
-    bench._write([row], facts | {"command": "c", "machine": "m", "device": "cpu"}, tmp_path, "gap")
+    bench._write([row], facts | {"command": "c", "machine": "m", "device": "cpu", "cases": 1}, tmp_path, "gap")
     assert kept.kept_rows(tmp_path / "gap.json", facts) == {3: row}
     assert kept.kept_rows(tmp_path / "gap.json", facts | {"limit": "other"}) == {}
 
@@ -262,6 +294,42 @@ def test_workers_end_with_a_killed_run(tmp_path):
     while not all(_ended(pid) for pid in pids) and time.monotonic() < until:
         time.sleep(0.05)
     assert all(_ended(pid) for pid in pids)
+
+
+SLOW = """
+import os, pathlib, sys, time
+pathlib.Path(sys.argv[1], str(os.getpid())).touch()
+time.sleep(120)
+"""
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="looks at processes the way Linux shows them")
+def test_an_interrupt_stops_all_jobs(tmp_path):
+    """Two diagnoses run and three wait: one signal to the run ends it and both, and none of the others begins."""
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "pids").mkdir()
+    command = [sys.executable, str(tmp_path / "slow.py"), str(tmp_path / "pids")]
+    (tmp_path / "run.py").write_text(
+        "from pathlib import Path\nfrom nfpde.bench.gap.run import run\n"
+        f"if __name__ == '__main__':\n    here = Path({str(tmp_path)!r})\n"
+        f"    run(31, here / 'out', cases=5, jobs=2, folder=here / 'work', command={command!r})\n"
+    )
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have told its children to ignore it
+    call = [sys.executable, str(tmp_path / "run.py")]
+    process = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+    def begun():
+        return [int(p.name) for p in (tmp_path / "pids").iterdir()]
+
+    until = time.monotonic() + 120
+    while len(begun()) < 2 and time.monotonic() < until:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert "KeyboardInterrupt: the benchmark stopped; 0 of 5 systems are finished" in said
+    assert len(begun()) == 2
+    assert all(_ended(pid) for pid in begun())
 
 
 def cores_of_a_worker(folder):

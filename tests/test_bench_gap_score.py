@@ -271,7 +271,9 @@ def test_figures_count_what_they_say():
     assert confusion(rows)["coulomb_friction"] == {"coulomb_friction": 3, "armature": 1}
     assert [b["cases"] for b in by_size(rows)] == [0, 0, 4, 0, 0, 0]
     facts = {"command": "c", "seed": 1, "code": "0f", "versions": {}, "machine": "m", "device": "cpu"}
-    page = table(rows, facts, "gap.png")
+    page = table(rows, {**facts, "cases": 6}, "gap.png")
+    assert "Cases right: 4 of 6.\n" in page
+    assert "Stopped after 6 of 200 systems." in table(rows, {**facts, "cases": 200}, "gap.png")
     assert "| right cause, one effect | >= 95 % | 75.0 % |" in page
     assert "Cases that are not right (2)" in page
     assert "hold the true value in 0.0 % of 3 values of effects; in no free parameters" in page

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from nfpde.cli.models import DEVICE_HELP
+from nfpde.cli.stopping import stoppable
 from nfpde.sim import Device, found_device
 
 app = typer.Typer(help="Benchmarks of the package; each prints a table and writes it as Markdown and JSON.")
@@ -17,6 +18,7 @@ Out = Annotated[Path, typer.Option(help="folder for the tables")]
 
 
 @app.command("losses")
+@stoppable
 def losses(
     quick: Quick = False,
     out: Out = Path("docs/results"),
@@ -36,6 +38,7 @@ def losses(
 
 
 @app.command("devices")
+@stoppable
 def devices(
     quick: Quick = False,
     out: Out = Path("docs/results"),
@@ -48,6 +51,7 @@ def devices(
 
 
 @app.command("ot")
+@stoppable
 def ot(
     quick: Quick = False,
     out: Out = Path("docs/results"),
@@ -62,6 +66,7 @@ def ot(
 
 
 @app.command("fit")
+@stoppable
 def fit(
     quick: Quick = False,
     out: Out = Path("docs/results"),
@@ -74,6 +79,7 @@ def fit(
 
 
 @app.command("estimation")
+@stoppable
 def estimation(
     robots: Annotated[str | None, typer.Option(help="with commas; all four, for the calibration three")] = None,
     targets: Annotated[str, typer.Option(help="populations, with commas")] = "gaussian,mixture",
@@ -103,6 +109,7 @@ def estimation(
 
 
 @app.command("gap")
+@stoppable
 def gap(
     seed: Annotated[int, typer.Option(min=0, help="of the systems; one on which nothing was tried before")],
     cases: Annotated[int, typer.Option(min=1, help="number of systems")] = 300,

@@ -149,8 +149,18 @@ class Outcome:
         return standard_errors(self.near.court, self.explained.fit)
 
     def errors_of(self, trial: Trial) -> Array:
-        """Standard errors of another model's parameters (D,), on the same windows: contacts tear long ones apart."""
-        return standard_errors(self.near.court, self.near.shown(trial, refitted=False).fit)
+        """Standard errors of another model's parameters (D,), on the same windows: contacts tear long ones apart.
+
+        In smooth motion slopes tell them to within a factor of two, and are enough for an effect that was told apart.
+        """
+        effects = [key(e) for e in trial.fit.replay.effects]
+        if effects == [key(e) for e in self.final.fit.replay.effects]:
+            return self.errors
+        shown = self.near.shown(trial, refitted=False).fit
+        rivals = {key(t.effect) for a in self.accepted for t in a.rivals if t.effect is not None}
+        if self.selection.sigma is None and effects[-1] not in rivals:
+            return shown.standard_errors
+        return standard_errors(self.near.court, shown)
 
     def cause(self, effect: Effect, fit: Fit, errors: Array, before: Trial, after: Trial) -> Cause:
         """An effect as it stands in a fit; `before` and `after` are the models without and with it."""

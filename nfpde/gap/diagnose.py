@@ -16,6 +16,7 @@ from nfpde.effects import DataScales, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.levels import Yardstick
+from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
 from nfpde.gap.replay import Replay
 from nfpde.gap.report import GapReport
@@ -66,7 +67,8 @@ def diagnose_gap(
     """
     begin = time.monotonic()
     mjmodel = load_model(model)
-    start = Replay(mjmodel, space, [], nthread, device)
+    recall = Recall()
+    start = Replay(mjmodel, space, [], nthread, device, recall)
     dataset = start.sim.prepare(dataset)
     computed = check_readings(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
@@ -76,7 +78,16 @@ def diagnose_gap(
     def select(stage: Stage) -> Selection:
         sigma = stage.sigma if search.touches else None
         return Selection(
-            mjmodel, space, nthread, stage.court, candidates, report, device, yardstick=stage.yardstick, sigma=sigma
+            mjmodel,
+            space,
+            nthread,
+            stage.court,
+            candidates,
+            report,
+            device,
+            recall,
+            yardstick=stage.yardstick,
+            sigma=sigma,
         )
 
     windows = windows or windows_for(mjmodel.nv)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.effects import Effect, Quantity, World
 from nfpde.effects.effect import overrides
+from nfpde.gap.recall import Recall
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, MujocoSimulator, make_simulator
 
@@ -49,6 +50,14 @@ def residual_force(model: mujoco.MjModel) -> Effect:
 class Replay:
     """A model with free base parameters and effects, ready to replay windows.
 
+    Args:
+        model: The nominal model.
+        space: The free base parameters; None: there are none.
+        effects: The effects.
+        nthread: Threads; 0 takes all cores this process may use.
+        device: Where to simulate, see `make_simulator`.
+        recall: What replays of the same model and space have predicted; None: this one's alone.
+
     Attributes:
         low, high: bounds of the free parameters: base parameters first, then those of the effects (D,).
         nbase: number of base parameters.
@@ -62,8 +71,10 @@ class Replay:
         effects: Sequence[Effect],
         nthread: int = 0,
         device: Device = "cpu",
+        recall: Recall | None = None,
     ) -> None:
         self.effects = tuple(effects)
+        self._recall = Recall() if recall is None else recall
         self.sim = make_simulator(model, space, [*effects, residual_force(model)], device=device, check_influence=False)
         if isinstance(self.sim, MujocoSimulator) and nthread:
             self.sim.nthread = nthread
@@ -116,7 +127,7 @@ class Replay:
     def predict(self, xi: Array, windows: Windows, force: Array | None = None) -> Array:
         """Predicted measurements (M, N, H, nx) of free parameters (M, D), with a generalized force (M, nv) or none."""
         force = np.zeros((len(xi), self.nv)) if force is None else force
-        return self.sim.predict(np.hstack([xi, force]), windows)
+        return self._recall.predict(self.effects, self.sim.predict, np.hstack([xi, force]), windows)
 
     def residuals(self, xi: Array, windows: Windows, horizons: Sequence[int], force: Array | None = None) -> Array:
         """Predicted - measured by degree of freedom: free parameters (M, D) to (M, N, nv, 2 horizons).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.gap.accepted import key
 from nfpde.gap.fit import Fit
+from nfpde.gap.recall import Recall
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
@@ -31,6 +32,7 @@ class Rounds:
     court: refits and judges
     candidates: effects with the values to screen
     report: called with what is being done
+    recall: what replays of the model have predicted
     steps: simulated so far
     """
 
@@ -41,6 +43,7 @@ class Rounds:
     candidates: Sequence[tuple[Effect, Array]]
     report: Callable[[str], None] = lambda what: None
     device: Device = "cpu"
+    recall: Recall = field(default_factory=Recall)
     steps: int = 0
 
     def refitted(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
@@ -107,7 +110,7 @@ class Rounds:
 
     def replay(self, effects: Sequence[Effect]) -> Replay:
         """The model with effects."""
-        return Replay(self.model, self.space, effects, self.nthread, self.device)
+        return Replay(self.model, self.space, effects, self.nthread, self.device, self.recall)
 
     def count(self, *replays: Replay) -> None:
         """Add the steps that replays simulated."""

@@ -20,7 +20,7 @@ from nfpde.bench.gap.kept import fingerprint, kept_rows
 from nfpde.bench.gap.score import Row, judge
 from nfpde.bench.gap.store import write_key, write_public
 from nfpde.bench.gap.table import summary, table
-from nfpde.bench.gap.workers import workers
+from nfpde.bench.gap.workers import stop, unless_ended, workers
 from nfpde.errors import BadInput
 from nfpde.progress import progress
 from nfpde.storage import finite, write_whole
@@ -65,6 +65,7 @@ def run(
 
     Raises:
         BadInput: cases or jobs below 1, a limit that is not positive, no such device, or kept cases of another command.
+        KeyboardInterrupt: after writing the table of what is finished.
     """
     _check(cases, jobs, limit)
     command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
@@ -80,10 +81,19 @@ def run(
     name = "gap" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
     every = [Case(seed, index, folder, command, limit) for index in range(cases)]
     kept = kept_rows(out / f"{name}.json", facts)
-    _work([case for case in every if not finished(case) and case.index not in kept], cases, jobs)
-    rows = [_row(case) if finished(case) else kept[case.index] for case in every]
-    ran_on = dict.fromkeys(row.device or device for row in rows)
-    _write(rows, facts | {"device": ", ".join(ran_on)}, out, name)
+    stopped = False
+    try:
+        _work([case for case in every if not finished(case) and case.index not in kept], cases, jobs)
+    except KeyboardInterrupt:
+        stopped = True
+    rows = [_row(c) if finished(c) else kept[c.index] for c in every if finished(c) or c.index in kept]
+    if rows:
+        ran_on = dict.fromkeys(row.device for row in rows if row.device) or [device]  # one that failed says nothing
+        _write(rows, facts | {"device": ", ".join(ran_on), "cases": cases}, out, name)
+    if stopped:
+        raise KeyboardInterrupt(
+            f"the benchmark stopped; {len(rows)} of {cases} systems are finished, from which the same call goes on"
+        )
     return rows
 
 
@@ -119,10 +129,14 @@ def _work(left: list[Case], total: int, jobs: int) -> None:
                 report(done)
             return
         with workers(jobs) as pool:
-            for future in as_completed([pool.submit(run_case, case) for case in left]):
-                future.result()
-                done += 1
-                report(done)
+            try:
+                for future in as_completed([pool.submit(unless_ended, run_case, case) for case in left]):
+                    future.result()
+                    done += 1
+                    report(done)
+            except BaseException:
+                stop(pool)
+                raise
 
 
 def _check(cases: int, jobs: int, limit: float) -> None:

@@ -53,7 +53,7 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
 
     Args:
         rows: one a case.
-        facts: command, seed, code, versions, machine and device.
+        facts: command, seed, code, versions, machine and device, and how many cases there are when all are finished.
         curve: file name of the picture.
     """
     failed = [row for row in rows if not row.right]
@@ -61,6 +61,7 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
     alone, sets = rate(one, lambda r: r.alone), sum(row.set_size for row in one) / len(one) if one else math.nan
     extra = rate(of_kind(rows, "one", "two"), lambda r: r.extra > 0)
     steps = sum(row.steps for row in rows)
+    stopped = f" Stopped after {len(rows)} of {facts['cases']} systems." if len(rows) < facts["cases"] else ""
     return "\n".join(
         [
             "# Diagnosis of hidden faults",
@@ -74,7 +75,7 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             f"Right cause without the declared sets: {_percent(alone)}; effects in a set: {sets:.1f} on average. "
             f"More effects accepted than hidden: {_percent(extra)} of the cases that have one or two. "
             f"Gap at most 1.2 noise floors in the end: {_percent(at_floor(rows))} of all but outsiders. "
-            f"Simulated steps in all: {steps:.3g}. Cases right: {len(rows) - len(failed)} of {len(rows)}.",
+            f"Simulated steps in all: {steps:.3g}. Cases right: {len(rows) - len(failed)} of {len(rows)}.{stopped}",
             "",
             f"Stated 95 % intervals hold the true value in {_coverage(rows)}.",
             "",

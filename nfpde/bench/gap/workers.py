@@ -9,8 +9,11 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
+
+from nfpde.bench.gap.cases import Case
 
 _GRACE = 5.0
 """Seconds that a worker has to stop a diagnosis."""
@@ -23,6 +26,21 @@ def workers(jobs: int) -> ProcessPoolExecutor:
     for share in shared_cores(jobs):
         shares.put(share)
     return ProcessPoolExecutor(jobs, mp_context=context, initializer=begin, initargs=(shares,))
+
+
+def stop(pool: ProcessPoolExecutor) -> None:
+    """Stop what its workers do, and what waits: they would work through all of it before an interrupt is heard."""
+    pool.shutdown(wait=False, cancel_futures=True)
+    for worker in multiprocessing.active_children():
+        worker.terminate()
+
+
+def unless_ended(task: Callable[[Case], int], case: Case) -> int:
+    """Run a task; a worker that was told to end meanwhile does: the pool would take that for the task's own failure."""
+    try:
+        return task(case)
+    except SystemExit:
+        os._exit(1)
 
 
 def shared_cores(jobs: int) -> list[set[int]]:
