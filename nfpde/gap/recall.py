@@ -1,7 +1,7 @@
-"""Predictions made lately, so that nothing is simulated twice.
+"""Predictions made lately, so that they are not simulated again.
 
 One candidate is looked at from several sides, counted with several scatters, and again beside what it was found with:
-a tenth to a third of all that a diagnosis asks for it has asked for before.
+a tenth to a quarter of all that a diagnosis asks for it has asked for before.
 """
 
 from __future__ import annotations
