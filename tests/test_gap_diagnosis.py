@@ -53,6 +53,17 @@ def test_the_gap_closes_to_the_noise_floor(friction):
     assert sum(p.share for p in friction.where) == pytest.approx(1.0)
 
 
+def test_every_candidate_that_was_tried_has_intervals(friction):
+    """That of the cause is as wide as where it is named; those of effects that were told apart are no points."""
+    cause = friction.effects[0]
+    [own] = [c for c in friction.ranking if (c.effect, c.target) == (cause.effect, cause.target)]
+    named, ranked = (c.parameters["torque"] for c in (cause, own))
+    assert ranked.high - ranked.low == pytest.approx(named.high - named.low, rel=1e-9)
+    others = [v for c in friction.ranking if c is not own for v in c.parameters.values()]
+    assert others
+    assert all(v.low <= v.value <= v.high and v.low < v.high for v in others)
+
+
 def test_the_answer_for_machines(friction, tmp_path):
     """diagnosis.json holds the contract's entries, and only finite numbers."""
     found = json.loads(friction.save(tmp_path).read_text())
