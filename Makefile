@@ -39,7 +39,7 @@ bench-gap: install  ## hidden faults against the diagnosis: make bench-gap SEED=
 	$(BIN)/nfpde bench gap --seed $(SEED)
 
 bench-gpu: install  ## twin tests on an NVIDIA GPU, then losses, fits and diagnoses beside the CPU; goes on where it stopped
-	$(BIN)/python -m pytest -m gpu
+	NFPDE_TEST_DEVICE=cuda $(BIN)/python -m pytest tests/test_warp*.py tests/test_sim_alike.py tests/test_gap_device.py
 	$(BIN)/nfpde bench devices --device cuda
 
 bench: install  ## the tables of docs/results

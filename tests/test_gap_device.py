@@ -11,6 +11,7 @@ from nfpde.errors import BadInput
 from nfpde.gap import diagnose_gap
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
+from tests.device import WARP
 from tests.gap_systems import ARM, nominal, record
 
 
@@ -24,7 +25,7 @@ def test_replays_agree_with_double_precision():
         Replay(nominal(), None, [effect("coulomb_friction", "elbow", torque=(0.0, 1.0))], device=device).residuals(
             xi, cut.fit, cut.horizons, force
         )
-        for device in ("cpu", "warp-cpu")
+        for device in ("cpu", WARP)
     ]
     moved = there[0] - there[0][:1]
     # both rows with a force move the arm, each in its own way
@@ -50,9 +51,9 @@ def test_a_device_without_hardware_or_name_is_refused(tmp_path):
 def test_the_same_cause_on_warp():
     """A whole diagnosis in single precision names the friction with the value of double precision."""
     data = record(lambda m: setattr(m, "dof_frictionloss", [0.0, 0.2]), noise=1e-3)
-    found = [diagnose_gap(nominal(), data, windows=60, device=device) for device in ("cpu", "warp-cpu")]
+    found = [diagnose_gap(nominal(), data, windows=60, device=device) for device in ("cpu", WARP)]
     causes = [f.effects[0] for f in found]
     assert [(c.effect, c.target) for c in causes] == [("coulomb_friction", "elbow")] * 2
     torques = [c.parameters["torque"] for c in causes]
     assert torques[1].value == pytest.approx(torques[0].value, abs=0.2 * (torques[0].high - torques[0].low))
-    assert [f.device.split(":")[0] for f in found] == ["cpu", "warp-cpu"]
+    assert [f.device.split(":")[0] for f in found] == ["cpu", WARP]

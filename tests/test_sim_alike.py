@@ -13,6 +13,7 @@ from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import MujocoSimulator, make_simulator
 from nfpde.sim.warp import WarpSimulator
+from tests.device import WARP
 from tests.models import DOUBLE_PENDULUM, FREE_BOX, PENDULUM, load, make_windows, record
 
 MASS = Parameter("body_mass", "lower", 0.5, 2.0, relative=True)
@@ -75,7 +76,7 @@ def test_rows_are_those_of_each_model_alone(windows):
 
 def test_the_device_takes_the_same_rows(windows):
     """All pairs and any pairs in single precision, with results poisoned beforehand."""
-    sim = WarpSimulator(BUILDS, SPACE, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(BUILDS, SPACE, device=WARP, check_influence=False)
     assert sim._model.derived is None  # geoms of other sizes: the host derives MuJoCo's constants
     xi, model = mixed_vectors(sim)
     expected = split(sim, np.column_stack([xi[:, 0], model, xi[:, 2]]), windows)
@@ -97,7 +98,7 @@ def test_constants_of_several_models_are_derived_on_the_device(windows):
     """Where only masses and motors differ, no row's constants come from the host."""
     heavy = changed(DOUBLE_PENDULUM, ('size="0.04" mass="1.2"', 'size="0.04" mass="3"'), ('gear="3"', 'gear="2"'))
     space = ParameterSpace([MASS, choice(2)])
-    sim = WarpSimulator([BUILDS[0], heavy], space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator([BUILDS[0], heavy], space, device=WARP, check_influence=False)
     assert sim._model.derived
     xi = np.array([[0.7, 1.0], [0.7, 0.0], [1.6, 1.0]])
     expected = split(sim, xi, windows)
@@ -110,7 +111,7 @@ def test_constants_of_several_models_are_derived_on_the_device(windows):
         np.testing.assert_allclose(batch._fields[name].numpy(), fields[name].reshape(3, -1), rtol=1e-4, err_msg=name)
 
 
-@pytest.mark.parametrize("device", ["cpu", "warp-cpu"])
+@pytest.mark.parametrize("device", ["cpu", WARP])
 def test_builds_of_a_robot_in_contact(device):
     """A Hopper with longer shins, whose floor is lower, beside the plain one; masses scale in both."""
     robot = ROBOTS["hopper"]
@@ -130,7 +131,7 @@ def test_builds_of_a_robot_in_contact(device):
     assert np.abs(expected[1] - expected[0]).max() > 1e-3
     square = (sim.states.difference(sim.predict(xi, recorded), expected) ** 2).sum((2, 3))
     # of single precision, as for the robots themselves in test_warp; none between the same steps in double
-    assert square.max() <= (1e-6 if device == "warp-cpu" else 0)
+    assert square.max() <= (0 if device == "cpu" else 1e-6)
 
 
 def test_effects_and_constants_follow_each_model(windows):
@@ -146,7 +147,7 @@ def test_effects_and_constants_follow_each_model(windows):
         alone = MujocoSimulator(BUILDS[int(k)], ParameterSpace([MASS]), [friction], check_influence=False)
         for name, values in alone.writer.rows(np.array([[mass, torque]])).items():
             np.testing.assert_array_equal(rows[name][row], values[0], err_msg=name)
-    warp = WarpSimulator(BUILDS[:3], space, [friction], device="warp-cpu", check_influence=False)
+    warp = WarpSimulator(BUILDS[:3], space, [friction], device=WARP, check_influence=False)
     np.testing.assert_allclose(warp.predict(xi, windows), sim.predict(xi, windows), atol=2e-5)
 
 
@@ -200,7 +201,7 @@ def test_a_body_that_mujoco_compiled_in_another_way():
         MujocoSimulator([load(FREE_BOX), centred], ParameterSpace([choice(2)]))
 
 
-@pytest.mark.parametrize("device", ["cpu", "warp-cpu"])
+@pytest.mark.parametrize("device", ["cpu", WARP])
 def test_pictures_may_differ(device):
     """Colours, cameras, sizes of sites and names of bodies decide nothing."""
     plain = changed(PENDULUM, ('<geom name="bob"', '<site size="0.01"/><geom name="bob"'))

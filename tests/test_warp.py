@@ -1,4 +1,4 @@
-"""WarpSimulator on Warp's CPU device against MujocoSimulator, its twin in double precision."""
+"""WarpSimulator, on Warp's CPU device or a GPU, against MujocoSimulator, its twin in double precision."""
 
 import weakref
 
@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 import nfpde
 from nfpde.bench import losses
@@ -17,7 +18,8 @@ from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on
 from nfpde.sim.warp import WarpSimulator
-from nfpde.sim.warp_device import has_cuda
+from nfpde.sim.warp_sizes import Counter, passing_bytes
+from tests.device import WARP
 from tests.models import BALL, DOUBLE_PENDULUM, PENDULUM, load, make_windows, record, with_arrays
 
 # Squared one-step difference, qpos and qvel together, of MuJoCo Warp's float32 from MuJoCo's float64, over 760 random
@@ -36,7 +38,7 @@ def arm(**options):
             Parameter("dof_frictionloss", "elbow", 0.0, 0.3),
         ]
     )
-    return WarpSimulator(load(DOUBLE_PENDULUM), space, device="warp-cpu", check_influence=False, **options)
+    return WarpSimulator(load(DOUBLE_PENDULUM), space, device=WARP, check_influence=False, **options)
 
 
 def vectors(sim, n, seed=0):
@@ -48,17 +50,11 @@ def sim():
     return arm()
 
 
-DEVICES = ["warp-cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
-
-
-@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", ROBOTS)
-def test_agrees_with_mujoco_to_single_precision(name, device):
+def test_agrees_with_mujoco_to_single_precision(name):
     """Losses and predictions of the four robots, in the air and in contact, with results poisoned beforehand."""
-    if device == "cuda" and not has_cuda():
-        pytest.skip("no CUDA device")
     robot = ROBOTS[name]
-    sim = WarpSimulator(robot.model, robot.space, device=device, check_influence=False)
+    sim = WarpSimulator(robot.model, robot.space, device=WARP, check_influence=False)
     recorded = losses._record(robot, episodes=3, steps=30).transitions()
     windows = recorded[np.arange(0, len(recorded), 3)]
     xi, one = vectors(sim, 3), np.ones(sim.states.ndiff)
@@ -81,7 +77,7 @@ def test_agrees_with_mujoco_to_single_precision(name, device):
 def test_constants_of_the_model_follow_the_parameters():
     """What depends on masses and inertias is derived on the device, in every row, as mj_setConst derives it."""
     robot = ROBOTS["hopper"]
-    sim = WarpSimulator(robot.model, robot.space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(robot.model, robot.space, device=WARP, check_influence=False)
     xi = vectors(sim, 5)
     windows = record(robot.model, 1, 5, HOPPER_SUBSTEPS).transitions()
     sim.losses(xi, windows, np.ones(sim.states.ndiff))
@@ -109,7 +105,7 @@ def test_windows_of_many_steps(sim):
 def test_quaternions(xml):
     """Differences of rotations are taken as the twin takes them, with targets turned by any angle."""
     field = Parameter("opt.gravity", None, -11.0, -9.0, component=2)
-    sim = WarpSimulator(load(xml), ParameterSpace([field]), device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(xml), ParameterSpace([field]), device=WARP, check_influence=False)
     windows = make_windows(sim.model, 12, 1, spread=1.5)
     xi, scale = vectors(sim, 2), np.linspace(0.5, 2.0, sim.states.ndiff)
     expected = sim.reference.losses(xi, windows, scale)
@@ -133,7 +129,7 @@ def test_losses_reach_torch_without_a_copy(sim):
     copied = sim.losses(xi, windows, np.ones(4))
     shared = torch.from_dlpack(sim.losses_on_device(xi, windows, np.ones(4)))
     assert shared.dtype == torch.float64
-    np.testing.assert_array_equal(shared.numpy(), copied)
+    np.testing.assert_array_equal(shared.cpu().numpy(), copied)
     batch = next(reversed(sim._batches.values()))
     batch._loss.fill_(7.0)
     assert bool((shared == 7.0).all())
@@ -145,7 +141,7 @@ def test_losses_of_several_chunks_are_one_tensor(sim):
     """Chunks are put together on the device, in the order of vectors and windows."""
     windows, xi = make_windows(sim.model, 7, 2), vectors(sim, 5)
     parts = torch.from_dlpack(arm(nworld=6).losses_on_device(xi, windows, np.ones(4)))
-    np.testing.assert_array_equal(parts.numpy(), sim.losses(xi, windows, np.ones(4)))
+    np.testing.assert_array_equal(parts.cpu().numpy(), sim.losses(xi, windows, np.ones(4)))
 
 
 def test_the_trainer_takes_losses_where_they_are(sim, monkeypatch):
@@ -187,6 +183,23 @@ def test_buffers_can_be_given_back():
     np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
 
 
+def test_memory_of_a_world_is_its_own():
+    """As much is predicted in a fresh process as after many worlds have run, and a step's buffers are part of it."""
+    windows = make_windows(load(DOUBLE_PENDULUM), 50, 2)
+    sizes = []
+    for nvector in (2, 60, 2):
+        sim = arm()
+        sim.losses(vectors(sim, nvector), windows, np.ones(4))
+        sizes.append(sim.usage().nbytes / sim.usage().nworld)
+    assert sizes[0] == sizes[1] == sizes[2]
+    kind = next(iter(sim._batches))
+    few, many = (passing_bytes(sim._model, kind, n, sim.device) for n in (3, 30))
+    # the solver's vectors of single precision: one of each constraint, and of each degree of freedom more than one
+    assert many - few > 27 * 4 * (kind.njmax + sim.model.nv)
+    assert sizes[0] > (many - few) // 27
+    assert not isinstance(wp.get_device_allocator(sim.device), Counter)
+
+
 def test_any_pairs_in_any_order(sim):
     """`rollout` gives each row its own vector and window."""
     windows, xi = make_windows(sim.model, 5, 3), vectors(sim, 4)
@@ -210,7 +223,7 @@ def test_simulators_of_one_model_leave_no_trace_in_each_other(sim):
     windows, xi = make_windows(sim.model, 4, 2), vectors(sim, 3)
     before = sim.losses(xi, windows, np.ones(4))
     heavy = ParameterSpace([Parameter("body_mass", "upper", 5.0, 9.0), Parameter("opt.density", None, 10.0, 500.0)])
-    other = WarpSimulator(load(DOUBLE_PENDULUM), heavy, device="warp-cpu", check_influence=False)
+    other = WarpSimulator(load(DOUBLE_PENDULUM), heavy, device=WARP, check_influence=False)
     assert other._model.nominal.dof_parentid.ptr == arm()._model.nominal.dof_parentid.ptr
     found = other.losses(vectors(other, 3), windows, np.ones(4))
     np.testing.assert_allclose(found, other.reference.losses(vectors(other, 3), windows, np.ones(4)), rtol=1e-4)
@@ -221,7 +234,7 @@ def test_simulators_of_one_model_leave_no_trace_in_each_other(sim):
 def test_divergence_is_nan_and_the_limit():
     """A spring that pushes its joint over: NaN from one step to the end, the limit as loss, neighbours unharmed."""
     space = ParameterSpace([Parameter("jnt_stiffness", "hinge", -1e6, 1.0)])
-    sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(PENDULUM), space, device=WARP, check_influence=False)
     windows = make_windows(sim.model, 3, 40)
     good = np.array([[0.5], [0.1]])
     mixed = np.array([[0.5], [-1e6], [0.1]])
@@ -247,7 +260,7 @@ def touching(model, state):
 def test_buffers_that_overflow_grow():
     """With room for one contact and one constraint the answers are those of large buffers, not of fewer contacts."""
     robot = ROBOTS["hopper"]
-    sim = WarpSimulator(robot.model, robot.space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(robot.model, robot.space, device=WARP, check_influence=False)
     recorded = record(robot.model, 1, 100, HOPPER_SUBSTEPS, seed=1).transitions()
     windows = recorded[np.flatnonzero([touching(robot.model, start) > 1 for start in recorded.start])]
     assert len(windows) > 3
@@ -263,7 +276,7 @@ def test_geoms_that_do_not_move_have_a_place_in_each_world():
     """The floor's height as parameter, which MuJoCo Warp computes once for all worlds."""
     robot = ROBOTS["hopper"]
     space = ParameterSpace([Parameter("geom_pos", "floor", -0.1, 0.1, component=2)])
-    sim = WarpSimulator(robot.model, space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(robot.model, space, device=WARP, check_influence=False)
     windows = record(robot.model, 1, 30, HOPPER_SUBSTEPS, seed=1).transitions()[np.arange(15, 30)]
     xi = np.array([[-0.1], [0.01], [0.03]])
     expected = sim.reference.predict(xi, windows)
@@ -275,7 +288,7 @@ def test_geoms_that_do_not_move_have_a_place_in_each_world():
 def test_a_fluid_that_the_model_lacks():
     """MuJoCo Warp decides once whether there is a fluid; a density above 0 within the bounds switches it on."""
     space = ParameterSpace([Parameter("opt.density", None, 0.0, 500.0)])
-    sim = WarpSimulator(load(DOUBLE_PENDULUM), space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(DOUBLE_PENDULUM), space, device=WARP, check_influence=False)
     windows = make_windows(sim.model, 4, 20, speed=3.0)
     xi = np.array([[0.0], [200.0], [500.0]])
     expected = sim.reference.predict(xi, windows)
@@ -287,7 +300,7 @@ def test_effects_on_the_model_need_no_kernel():
     """Coulomb friction is written into the rows of the model."""
     model = load(DOUBLE_PENDULUM)
     effects = [effect("coulomb_friction", "elbow", torque=(0.0, 0.5))]
-    sim = WarpSimulator(model, None, effects, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(model, None, effects, device=WARP, check_influence=False)
     windows = make_windows(sim.model, 4, 5)
     np.testing.assert_allclose(
         sim.predict([[0.0], [0.4]], windows), sim.reference.predict([[0.0], [0.4]], windows), atol=2e-5
@@ -298,7 +311,7 @@ def test_says_what_it_is(sim):
     """A run on one device is not resumed on another, and people can read where it ran."""
     other = MujocoSimulator(load(DOUBLE_PENDULUM), sim.space, check_influence=False)
     assert sim.identity() != other.identity()
-    assert runs_on(sim).startswith("warp-cpu: MuJoCo Warp")
+    assert runs_on(sim).startswith(f"{WARP}: MuJoCo Warp")
     assert runs_on(other).startswith("cpu: MuJoCo")
 
 
@@ -327,5 +340,5 @@ def test_auto_is_the_cpu_where_there_is_no_gpu(monkeypatch):
     monkeypatch.setattr("nfpde.sim.select._finds_cuda", lambda: False)
     space = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
     assert isinstance(make_simulator(load(PENDULUM), space, check_influence=False), MujocoSimulator)
-    sim = make_simulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
+    sim = make_simulator(load(PENDULUM), space, device=WARP, check_influence=False)
     assert isinstance(sim, WarpSimulator)

@@ -7,6 +7,7 @@ from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import Whitening
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.whitening import DIVERGED
+from tests.device import WARP
 from tests.models import BALL, DOUBLE_PENDULUM, PENDULUM, load, make_windows
 
 LINKS = np.array([False, True, True, False, True, False, True])
@@ -20,7 +21,7 @@ TOLERANCE = 5e-5
 
 def arm(**options):
     space = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
-    return WarpSimulator(load(DOUBLE_PENDULUM), space, device="warp-cpu", check_influence=False, **options)
+    return WarpSimulator(load(DOUBLE_PENDULUM), space, device=WARP, check_influence=False, **options)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def test_residuals_are_their_twins(sim):
 def test_residuals_of_rotations():
     """A quaternion's four numbers make three channels, at the same places as in the twin."""
     field = Parameter("opt.gravity", None, -11.0, -9.0, component=2)
-    sim = WarpSimulator(load(BALL), ParameterSpace([field]), device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(BALL), ParameterSpace([field]), device=WARP, check_influence=False)
     windows = make_windows(sim.model, 5, 2, spread=1.5)
     scale = np.linspace(0.5, 2.0, 2 * sim.states.ndiff)
     rows = np.zeros(5, int), np.arange(5)
@@ -105,7 +106,7 @@ def test_windows_alike_share_a_matrix(sim):
 def test_a_simulation_that_diverged():
     """NaN from the step on in which it did, the cost of `DIVERGED`, and nothing told to the window after it."""
     space = ParameterSpace([Parameter("jnt_stiffness", "hinge", -1e6, 1.0)])
-    sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(PENDULUM), space, device=WARP, check_influence=False)
     windows = make_windows(sim.model, 7, 20)
     xi, channels = np.array([[0.5], [-1e6]]), 40
     rows = np.repeat([0, 1], 7), np.tile(np.arange(7), 2)

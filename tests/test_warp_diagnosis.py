@@ -12,6 +12,7 @@ from nfpde.gap.replay import residual_force
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import load_model
 from nfpde.sim.warp import WarpSimulator
+from tests.device import WARP
 from tests.models import with_arrays
 
 ROWS, HORIZON = 41, 2
@@ -60,7 +61,7 @@ def test_agrees_with_mujoco_to_single_precision(name):
     """Predictions and losses with other masses and dampings and a force on every joint; results poisoned beforehand."""
     robot = ROBOTS[name]
     model = load_model(robot.path)
-    sim = WarpSimulator(model, constants(model), [residual_force(model)], device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(model, constants(model), [residual_force(model)], device=WARP, check_influence=False)
     windows, rng, one = recorded(robot), np.random.default_rng(0), np.ones(sim.states.ndiff)
     xi = np.array(sim.space.uniform(3, rng))
     xi[:, -model.nv :] = rng.uniform(-0.1, 0.1, (3, model.nv))

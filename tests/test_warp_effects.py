@@ -17,6 +17,7 @@ from nfpde.sim.acting import effect_columns
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_device import start_warp
 from nfpde.sim.warp_effects import COMMANDS, SENSORS, STEPS
+from tests.device import WARP
 from tests.models import DOUBLE_PENDULUM, load, make_windows, record, with_arrays
 
 # Positions and velocities of a few units after 20 physics steps in single precision, friction switching on the way
@@ -40,7 +41,7 @@ CASES = {
 
 
 def arm(*effects, **options):
-    return WarpSimulator(load(DOUBLE_PENDULUM), None, effects, device="warp-cpu", check_influence=False, **options)
+    return WarpSimulator(load(DOUBLE_PENDULUM), None, effects, device=WARP, check_influence=False, **options)
 
 
 def neutral(sim):
@@ -76,7 +77,7 @@ SERVOS = DOUBLE_PENDULUM.replace(
 def test_kernel_equals_its_twin_with_servos(name):
     """Position and velocity servos with gears and limits, where the effects act in other ways than with motors."""
     bounds = CASES[name][1]
-    sim = WarpSimulator(load(SERVOS), None, [effect(name, "*", **bounds)], device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(load(SERVOS), None, [effect(name, "*", **bounds)], device=WARP, check_influence=False)
     windows = make_windows(sim.model, 4, 5, nsub=4)
     xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
     expected = sim.reference.predict(xi, windows)
@@ -93,7 +94,7 @@ def test_rotors_are_where_the_recording_took_them(xml):
         effect("backlash", "*", width=(0.0, 0.1)),
         effect("joint_offset", "elbow", offset=(-0.2, 0.2)),
     ]
-    sim = WarpSimulator(model, None, effects, device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(model, None, effects, device=WARP, check_influence=False)
     data = record(model, 2, 120, 4, amplitude=1.0)
     dt = data.control_dt
     windows = data.windows(5, stride=11, history=sim.history_steps(dt), past=sim.past_steps(dt))
@@ -200,7 +201,7 @@ def test_all_that_a_diagnosis_tries_on_a_robot_in_contact():
     names = sorted(tried.keys() - COMMANDS.keys() - STEPS.keys() - SENSORS.keys() - MODEL_CASES.keys())
     assert len(names) > 5
     windows = data.windows(1, stride=5)
-    sim = WarpSimulator(model, None, [tried[n] for n in names], device="warp-cpu", check_influence=False)
+    sim = WarpSimulator(model, None, [tried[n] for n in names], device=WARP, check_influence=False)
     alone = np.repeat([neutral(sim)], len(names), axis=0)
     for row, columns in zip(alone, effect_columns(sim.effects, 0), strict=True):
         row[columns] = sim.space.uniform(1, np.random.default_rng(0))[0, columns]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mujoco_warp as mjw
@@ -42,19 +43,24 @@ def bare_stepping(simulator: WarpSimulator, windows: Windows, nworld: int) -> Ca
         steps()
         with wp.ScopedCapture() as capture:
             steps()
-        graph: Any = capture.graph
-
-    def run() -> None:
-        with wp.ScopedDevice(device):
-            wp.capture_launch(graph)
-            wp.synchronize_device(device)
-
-    return run
+    # the graph keeps none of the memory that it works on
+    return partial(_replay, capture.graph, device, (m, d, qpos, qvel))
 
 
-def used_bytes(simulator: WarpSimulator) -> int | None:
-    """Memory that Warp has taken on a GPU and not given back to the system; None on a CPU."""
-    if not simulator.device.is_cuda:
+def _replay(graph: Any, device: wp.Device, kept: tuple[Any, ...]) -> None:
+    with wp.ScopedDevice(device):
+        wp.capture_launch(graph)
+        wp.synchronize_device(device)
+
+
+def used_bytes(simulator: WarpSimulator, before: int) -> int | None:
+    """Memory that was taken on a GPU since so much of it was free; None on a CPU.
+
+    What a step allocates and gives back is not seen in what is free afterwards: the memory pool's own count has it,
+    and has not what graphs allocate, which is.
+    """
+    device = simulator.device
+    if not device.is_cuda:
         return None
-    wp.synchronize_device(simulator.device)
-    return int(wp.get_mempool_used_mem_high(simulator.device))
+    wp.synchronize_device(device)
+    return max(before - device.free_memory, int(wp.get_mempool_used_mem_high(device)))

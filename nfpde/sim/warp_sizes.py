@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -46,29 +49,65 @@ def buffer_sizes(model: mujoco.MjModel, windows: Windows) -> tuple[int, int]:
 def bytes_per_world(model: WarpModel, effects: WarpEffects, space: StateSpace, sizes: Sizes, device: wp.Device) -> int:
     """Memory that one more world of its own row and window takes, the passing buffers of a step included.
 
-    Found from the arrays of two and of six worlds; on a GPU from the memory pool as well, because the solver and the
-    Runge-Kutta integrator allocate while they run.
+    Found from the arrays of two and of six worlds, and from what steps of both allocate while they run, which the
+    solver and the Runge-Kutta integrator do.
     """
+    few, more = 2, 6
     one, two = (
-        WarpBatch(model, effects, space, replace(sizes, nrow=n, nworld=n, nwindow=n), device).nbytes() for n in (2, 6)
+        WarpBatch(model, effects, space, replace(sizes, nrow=n, nworld=n, nwindow=n), device).nbytes()
+        + passing_bytes(model, sizes, n, device)
+        for n in (few, more)
     )
-    own = (two - one) // 4
-    return own + (_passing_bytes(model, sizes, device) if device.is_cuda else 0)
+    return (two - one) // (more - few)
 
 
-def _passing_bytes(model: WarpModel, sizes: Sizes, device: wp.Device, nworld: int = 1024) -> int:
-    """Bytes a world that a physics step allocates and gives back, on a GPU."""
+def passing_bytes(model: WarpModel, sizes: Sizes, nworld: int, device: wp.Device) -> int:
+    """The most bytes that a physics step of so many worlds holds at once and gives back."""
     with wp.ScopedDevice(device):
-        m = model.nominal
         d = mjw.make_data(model.model, nworld=nworld, nconmax=sizes.nconmax, njmax=sizes.njmax)
-        mjw.step(m, d)
-        wp.synchronize_device(device)
-        before = wp.get_mempool_used_mem_current(device)
-        mjw.step(m, d)
-        wp.synchronize_device(device)
-        # the pool's high-water mark is that of the whole process: never less than what this step needed
-        high = wp.get_mempool_used_mem_high(device)
-    return max(0, high - before) // nworld
+        with counted(device) as counter:
+            mjw.step(model.nominal, d)
+    return counter.most
+
+
+class Counter:
+    """An allocator that passes everything on and knows how many bytes it gave out at once, at most."""
+
+    def __init__(self, allocator: Any) -> None:
+        self.deallocate_requires_context_guard = allocator.deallocate_requires_context_guard
+        self.memory_kind = allocator.memory_kind
+        self._allocator = allocator
+        self._held = self.most = 0
+
+    def allocate(self, size_in_bytes: int) -> int:
+        """Memory of the other allocator."""
+        pointer = self._allocator.allocate(size_in_bytes)
+        self._held += size_in_bytes
+        self.most = max(self.most, self._held)
+        return pointer
+
+    def deallocate(self, ptr: int, size_in_bytes: int) -> None:
+        """Give it back there."""
+        self._held -= size_in_bytes
+        self._allocator.deallocate(ptr, size_in_bytes)
+
+
+@contextmanager
+def counted(device: wp.Device) -> Iterator[Counter]:
+    """Count what is allocated on a device; the memory pool's own counts are of the process's whole life."""
+    before: Any = wp.get_device_allocator(device)
+    counter: Any = Counter(before)
+    if device.is_cpu:  # Warp lets nobody set an allocator there
+        device.default_allocator = counter
+    else:
+        wp.set_device_allocator(device, counter)
+    try:
+        yield counter
+    finally:
+        if device.is_cpu:
+            device.default_allocator = before
+        else:
+            wp.set_device_allocator(device, None if before is device.current_allocator else before)
 
 
 def _power_of_two(n: int) -> int:
