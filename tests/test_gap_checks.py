@@ -9,9 +9,10 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap import diagnose_gap
-from nfpde.gap.answer import NEAR_FLOOR, _verdict
+from nfpde.gap.answer import _verdict
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.foresight import check_commands
+from nfpde.gap.levels import NEAR_FLOOR
 from nfpde.gap.overlap import always_touching, without_contacts
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay

@@ -8,7 +8,7 @@ import pytest
 
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
-from nfpde.gap import diagnose_gap
+from nfpde.gap import diagnose_gap, stage
 from nfpde.gap.brief import brief, shorter
 from nfpde.gap.chart import Chart
 from nfpde.gap.fit import Fitter
@@ -86,7 +86,7 @@ def test_short_windows_are_those_of_the_recordings():
     assert steps == list(cut.horizons[: len(steps)])
     assert steps
     for short in brief(cut):
-        every = data.windows(short.horizons[-1], history=3, past=3)
+        every = data.windows(short.horizons[-1], stride=1, history=3, past=3)
         where = {(e, r): i for i, (e, r) in enumerate(zip(every.episode, every.row, strict=True))}
         for half, whole in ((short.fit, cut.fit), (short.held, cut.held)):
             assert set(half.episode) <= set(whole.episode)
@@ -202,7 +202,30 @@ def test_parameters_are_looked_for_behind_pits():
     scatter = learn_scatter(0.1 * np.random.default_rng(0).normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
     stuck = fitter.improve(fitter.start(pitted, far, scatter), 6)
     assert abs(stuck.xi[0] - 0.3) > 0.1
-    assert best_of_pits(fitter, pitted, far, scatter).xi == pytest.approx([0.3], abs=1e-3)
+    assert best_of_pits(fitter, stuck, far).xi == pytest.approx([0.3], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("guess", "noise", "look", "looks"),
+    [
+        (7.9, None, True, True),  # nothing is known of the sensors yet
+        (7.9, 1e-3, True, False),
+        (7.9, 1e-9, True, True),
+        (7.9, None, False, False),
+    ],
+)
+def test_a_fit_that_leaves_noise_alone_is_in_no_pit(guess, noise, look, looks, monkeypatch):
+    """Parameters are looked for all over their bounds where more than the sensors' noise is left, if at all."""
+    called = []
+    monkeypatch.setattr(stage, "best_of_pits", lambda fitter, fit, guesses: called.append(fit) or fit)
+    spring = BALL.replace('axis="0 0 1"', 'axis="0 0 1" stiffness="20" springref="0.1" damping="1"')
+    replay = Replay(
+        mujoco.MjModel.from_xml_string(spring), ParameterSpace([Parameter("dof_damping", "up", 0.2, 8.0)]), []
+    )
+    recordings = brief(cut_recordings(drops(noise=(1e-4, 1e-3), xml=spring), 0, 0, 160))[-1]
+    sigma = None if noise is None else np.array([0.1 * noise, noise])
+    first_fit(replay, recordings, np.array([[guess]]), capped=True, look=look, sigma=sigma)
+    assert bool(called) == looks
 
 
 PUCK = """

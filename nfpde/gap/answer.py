@@ -17,12 +17,12 @@ from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.leftover import describe, leftover
-from nfpde.gap.levels import Yardstick, rare, shrink_interval
+from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, rare, shrink_interval
 from nfpde.gap.loud import noise_residuals
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
-from nfpde.gap.select import CLOSED, FLOOR_ERROR, NEAR_FLOOR, Selection
+from nfpde.gap.select import CLOSED, Selection
 from nfpde.gap.separate import separating_experiment
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial
@@ -40,6 +40,9 @@ SPOTLESS = 1e-6
 
 QUIET = 0.1
 """Share of what counts as a gap that counts as noise where the sensors have none."""
+
+PART = 4
+"""One of so many held-out windows is asked how well the values of effects that were told apart are known."""
 
 TRACES = 6
 
@@ -146,21 +149,27 @@ class Outcome:
     @cached_property
     def errors(self) -> Array:
         """Standard errors of what was found (D,)."""
-        return standard_errors(self.near.court, self.explained.fit)
+        court = self.near.court
+        return standard_errors(court, court.fitter.linearise(self.explained.fit))
 
     def errors_of(self, trial: Trial) -> Array:
         """Standard errors of another model's parameters (D,), on the same windows: contacts tear long ones apart.
 
-        In smooth motion slopes tell them to within a factor of two, and are enough for an effect that was told apart.
+        For an effect that was told apart less will do: in smooth motion slopes, which tell them to within a factor of
+        two; beside contacts a part of the windows, which know less than all.
         """
         effects = [key(e) for e in trial.fit.replay.effects]
         if effects == [key(e) for e in self.final.fit.replay.effects]:
             return self.errors
-        shown = self.near.shown(trial, refitted=False).fit
+        court = self.near.court
+        shown = court.fitter.linearise(self.near.shown(trial, refitted=False).fit)
         rivals = {key(t.effect) for a in self.accepted for t in a.rivals if t.effect is not None}
-        if self.selection.sigma is None and effects[-1] not in rivals:
+        if effects[-1] in rivals:
+            return standard_errors(court, shown)
+        if self.selection.sigma is None:
             return shown.standard_errors
-        return standard_errors(self.near.court, shown)
+        some = np.arange(0, len(court.held.windows), PART)
+        return standard_errors(replace(court, held=court.held.some(some)), shown)
 
     def cause(self, effect: Effect, fit: Fit, errors: Array, before: Trial, after: Trial) -> Cause:
         """An effect as it stands in a fit; `before` and `after` are the models without and with it."""

@@ -50,17 +50,23 @@ def standard_errors(court: Court, fit: Fit) -> Array:
     axes = lengths[:, None] * vectors.T
     here = court.held.costs(replay, u[None], fit.scatter)[0]
 
-    def rise(s: float) -> Array:
-        places = np.clip(np.concatenate([u + s * axes, u - s * axes]), 0.0, 1.0)
-        return court.held.costs(replay, places, fit.scatter).reshape(2, -1).mean(0) - here
+    def rise(s: float, open_ones: NDArray[np.bool_]) -> Array:
+        found, some = np.full(len(axes), np.inf), axes[open_ones]
+        places = np.clip(np.concatenate([u + s * some, u - s * some]), 0.0, 1.0)
+        found[open_ones] = court.held.costs(replay, places, fit.scatter).reshape(2, -1).mean(0) - here
+        return found
 
     widest = PRIOR / lengths
     doublings = 2 + max(0, int(np.log2(widest.max() / NEAREST)))
     scales = np.array([NEAREST * 2.0**k for k in range(doublings)])
-    rises = np.array([rise(s) for s in scales[:2]])
+    open_ones = np.ones(len(axes), dtype=bool)
+    rises = np.array([rise(s, open_ones) for s in scales[:2]])
     stretch, since = _stretch(rises, scales, widest)
-    while len(rises) < len(scales) and ((since < _FARTHER) & (scales[len(rises) - 1] < widest)).any():
-        rises = np.vstack([rises, rise(scales[len(rises)])])
+    while len(rises) < len(scales):
+        open_ones &= (since < _FARTHER) & (scales[len(rises) - 1] < widest)
+        if not open_ones.any():
+            break
+        rises = np.vstack([rises, rise(scales[len(rises)], open_ones)])
         stretch, since = _stretch(rises, scales, widest)
     across = stretch[:, None] * axes
     wide = np.sqrt(((across @ replay.outward_slopes(fit.xi).T) ** 2).sum(0))
@@ -71,12 +77,14 @@ def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray
     """By how much the axes are longer than slopes foretell (D,), and for how many distances their rise has lasted (D,).
 
     Args:
-        rises: Of the cost, at the first of the distances (S, D).
+        rises: Of the cost, at the first of the distances (S, D); infinite where they were not looked at any more.
         scales: All distances.
         widest: Where each axis is as long as the prior's (D,).
     """
     count, every = len(rises) - 1, np.arange(rises.shape[1])
-    misses = np.where(scales[:count, None] < widest, np.abs(rises[:-1] - rises[1:] / 4), 0.0)
+    seen = np.isfinite(rises)
+    apart = np.subtract(rises[:-1], rises[1:] / 4, out=np.zeros((count, len(every))), where=seen[1:])
+    misses = np.where(scales[:count, None] < widest, np.abs(apart), 0.0)
     # the least rise from each distance on: one that is taken back farther out was a jump
     lasting = np.minimum.accumulate(rises[::-1])[::-1][:-1]
     alone = np.maximum.accumulate(misses)
@@ -85,7 +93,7 @@ def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray
     looked_at = np.cumsum(sure, axis=0) <= 1
     shared = np.sqrt((misses**2 * looked_at).sum(1) / np.maximum(looked_at.sum(1), 1))
     root = 1.0 + _ROUGH * np.maximum(alone, np.maximum.accumulate(shared)[:, None])
-    told = 2 * lasting >= root
+    told = seen[:-1] & (2 * lasting >= root)
     first, any_ = told.argmax(0), told.any(0)
     stretch = scales[first] * np.sqrt(root[first, every] / np.maximum(2 * rises[first, every], 1e-300))
     return np.where(any_, np.minimum(stretch, widest), widest), np.where(any_, count - first, 0)

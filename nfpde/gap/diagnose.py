@@ -101,7 +101,7 @@ def diagnose_gap(
     stage, final, accepted, selection = found.near, found.final, found.accepted, found.selection
     recordings = found.recordings
     if stage.recordings is not recordings:
-        stage = search.after(found.near, recordings, final.fit if accepted else None)
+        stage = search.after(found.near, recordings, final.fit if accepted else None, look=False)
         selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
         final = stage.shown(final, refitted=True) if accepted else stage.base
         final, accepted = selection.useful(stage.base, final, accepted)

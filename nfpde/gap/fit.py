@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.gap.directions import Directions
+from nfpde.gap.jackknife import moves_without
 from nfpde.gap.loud import Loudness
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
@@ -64,18 +65,16 @@ class Fit:
 
     @property
     def standard_errors(self) -> Array:
-        """Of the parameters, in their units (D,), by slopes: sandwich estimate, windows taken as independent."""
+        """Of the parameters, in their units (D,), by slopes: a jackknife over windows, taken as independent."""
         d = len(self.xi)
         if not d:
             return np.zeros(0)
-        white = self.scatter.whiten(self.residuals)
-        weight = self.scatter.weights(white)
-        columns = np.einsum("dnvc,nv,nvc->nd", _whiten_slopes(self.scatter, self.slopes), weight, white)
-        inverse = np.linalg.pinv(self.information, hermitian=True)
-        sandwich = inverse @ (columns.T @ columns) @ inverse
+        slopes = _whiten_slopes(self.scatter, self.slopes)
+        moves = moves_without(self.scatter, self.residuals, slopes, np.eye(d) / PRIOR**2)
         turn = self.replay.outward_slopes(self.xi)
-        variances = [np.einsum("id,de,ie->i", turn, matrix, turn) for matrix in (sandwich, 1e-6 * inverse)]
-        return np.sqrt(np.maximum(*variances))
+        least = 1e-6 * np.linalg.pinv(self.information, hermitian=True)
+        variance = ((moves @ turn.T) ** 2).sum(0)
+        return np.sqrt(np.maximum(variance, np.einsum("id,de,ie->i", turn, least, turn)))
 
 
 @dataclass(frozen=True, eq=False)

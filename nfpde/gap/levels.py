@@ -15,6 +15,12 @@ Array = NDArray[np.float64]
 CAPPED = 0.02
 """Share of the largest squares of a channel that are capped where contacts are."""
 
+FLOOR_ERROR = 0.1
+"""Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
+
+NEAR_FLOOR = 1.5
+"""A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
+
 _RARE = 10
 """Windows looked at for a gap that shows in few of them."""
 
@@ -59,6 +65,11 @@ class Yardstick:
     def floor(self) -> Array:
         """Squares that noise alone leaves, on average over its draws (N, nv, C)."""
         return np.mean([self.squares(draw) for draw in self.noise], axis=0)
+
+
+def near_floor(floor: float) -> float:
+    """The gap below which noise may leave all of it, where its floor is known to a factor only."""
+    return NEAR_FLOOR * floor + FLOOR_ERROR
 
 
 def calm(squares: Array, capped: float = CAPPED) -> Array:

@@ -19,6 +19,9 @@ variance explains it, and which of two such effects fits closer is a matter of n
 PRECISION = 1e-7
 """Share of the motion below which differences are those of rounding, of solvers and of compilers."""
 
+MOST_SHARE = 0.9
+"""Of a scatter that one window is taken to make up, at most: without the rest of it nothing is left to count in."""
+
 LOST = 1e3
 """A diverged window counts as a residual of so many times the floor in every channel: bad, but not beyond bounds."""
 
@@ -43,6 +46,27 @@ class Scatter:
         """What each window counts in least squares, by degree of freedom: (..., nv, C) to (..., nv)."""
         squares = (white**2).sum(-1)
         return np.stack([n.weight(squares[..., d]) for d, n in enumerate(self.noises)], axis=-1)
+
+    def curvature(self, white: Array) -> Array:
+        """What each window adds to the second derivative of a cost, by degree of freedom: (N, nv, C) to (N, nv).
+
+        In the mean over the directions of a residual; less than its weight, as tails pull less the farther out.
+        """
+        squares, channels = (white**2).sum(-1), white.shape[-1]
+        degrees = np.array([n.degrees for n in self.noises])
+        return self.weights(white) * (1.0 - 2.0 / channels * squares / (degrees + squares))
+
+    def pulls_without(self, white: Array) -> Array:
+        """White residuals times weights, as the scatter of all other windows has them: (N, nv, C) to the same shape.
+
+        A scatter is a mean of squares over the windows; without one of them it is smaller in the direction of that
+        one's residual, or in each of its channels where it has no correlations (Sherman and Morrison, 1950).
+        """
+        pulls = white * self.weights(white)[..., None]
+        shares = pulls * white / len(white)
+        crossed = np.array([(np.count_nonzero(n.whitener, axis=0) > 1).any() for n in self.noises])
+        shares = np.where(crossed[:, None], shares.sum(-1, keepdims=True), shares)
+        return pulls / (1.0 - np.minimum(shares, MOST_SHARE))
 
     def log_density(self, residuals: Array) -> Array:
         """Log density of windows, summed over degrees of freedom: (..., N, nv, C) to (..., N) [nats]."""

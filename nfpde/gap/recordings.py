@@ -89,7 +89,8 @@ def cut_recordings(
     """
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
-    every = dataset.windows(steps, history=history, past=history)
+    # a row apart: the noise of one that ends a window and starts the next would be in both
+    every = dataset.windows(steps, stride=steps + 1, history=history, past=history)
     settled = np.flatnonzero(every.row >= lead)
     if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
         every = every[settled]
@@ -108,7 +109,7 @@ def cut_recordings(
             raise BadDataset(
                 f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
                 f"{name}, "
-                f"at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, best as "
+                f"at least {FEWEST} are needed; record about {2 * FEWEST * (LEAST_STEPS + 1)} control steps or more, best as "
                 f"four or more episodes"
             )
     first, second = _spread(first, windows), _spread(second, windows)
@@ -122,7 +123,7 @@ def cut_recordings(
 
 def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
     by_time = round(WINDOW_TIME / control_dt)
-    by_data = int((lengths - 1).sum()) // LEAST_WINDOWS
+    by_data = int((lengths - 1).sum()) // LEAST_WINDOWS - 1
     steps = int(np.clip(min(by_time, by_data), LEAST_STEPS, MOST_STEPS))
     longest = int(lengths.max()) - 1
     return max(1, min(steps, longest // 2 if len(lengths) == 1 else longest))

@@ -160,16 +160,19 @@ class Search:
             final, accepted = selection.run(near.base, earlier, further=further)
         return near, selection, final, accepted
 
-    def after(self, before: Stage, longer: Recordings, known: Fit | None) -> Stage:
+    def after(self, before: Stage, longer: Recordings, known: Fit | None, *, look: bool = True) -> Stage:
         """The stage of longer windows, its base fitted from the guesses and from that of the shorter ones.
 
         Args:
             before: The stage of the shorter ones.
             longer: The windows.
             known: What was found there, if anything: it knows more of noise than the base.
+            look: Whether parameters are looked for all over their bounds again, where contacts are; windows that decide
+                nothing take those of the windows that did.
         """
         fit = before.base.fit
-        base, court = first_fit(fit.replay, longer, np.vstack([self.guesses, fit.xi]), capped=True)
+        guesses = np.vstack([self.guesses, fit.xi])
+        base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma)
         return in_noise(base, court, longer, self.seed, known)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:

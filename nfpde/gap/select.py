@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nfpde.gap.accepted import Accepted, key, parameter_count
 from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.fit import Fit
-from nfpde.gap.levels import Yardstick
+from nfpde.gap.levels import FLOOR_ERROR, Yardstick, near_floor
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.trial import (
     APART,
@@ -31,12 +31,6 @@ MOST_EFFECTS = 3
 
 WORTH = 0.02
 """Share of the gap that an effect must remove to be named: less is of no use."""
-
-FLOOR_ERROR = 0.1
-"""Error to be expected of the noise floor, and gap to be left alone, in units of gap: see `Yardstick`."""
-
-NEAR_FLOOR = 1.5
-"""A gap that is not surely above this multiple of the noise floor is closed: the floor itself is an estimate."""
 
 CLOSED = 0.9
 """Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
@@ -233,7 +227,7 @@ class Selection(Rounds):
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
         if self.sigma is None:
             return self._gap(trial) < self.floor(trial) + FLOOR_ERROR
-        return self.gap_of(trial) < NEAR_FLOOR * self.floor(trial) + FLOOR_ERROR
+        return self.gap_of(trial) < near_floor(self.floor(trial))
 
     def in_noise(self, base: Trial) -> bool:
         """Whether noise beside contacts leaves as much as there is; in smooth motion a test finds what is below it."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nfpde.gap.chart import evenly
 from nfpde.gap.directions import likeliest_directions, noise_covariance
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.levels import CAPPED, Yardstick, calm
+from nfpde.gap.levels import CAPPED, Yardstick, calm, near_floor
 from nfpde.gap.loud import loudness
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter, precision_of
 from nfpde.gap.recordings import Recordings
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 
 WORSE = 2.0
 """Mean gap of the windows at the beginning of episodes, in that of the others, from which they are looked at too."""
-
 
 LOOKS, PITS = 32, 3
 """Values looked at all over the bounds of free parameters, for each of them, and the best of these to fit from: where
@@ -67,10 +66,18 @@ class Stage:
         fit = court.fitter.rescale(fit, court.scatter(fit))
         if refitted:
             fit = min((fit, court.settle(fit)), key=lambda f: float(self.yardstick.gap(f.residuals).mean()))
-        return court.judge(trial.effect, court.fitter.linearise(fit))
+        return court.judge(trial.effect, fit)
 
 
-def first_fit(start: Replay, recordings: Recordings, guesses: Array, *, capped: bool) -> tuple[Trial, Court]:
+def first_fit(
+    start: Replay,
+    recordings: Recordings,
+    guesses: Array,
+    *,
+    capped: bool,
+    look: bool = True,
+    sigma: Array | None = None,
+) -> tuple[Trial, Court]:
     """The fit of the parameters alone, and the court that judges effects, before the noise of windows is known.
 
     Args:
@@ -78,29 +85,40 @@ def first_fit(start: Replay, recordings: Recordings, guesses: Array, *, capped: 
         recordings: The windows.
         guesses: Free parameters to start from, the nominal ones first (G, D).
         capped: Whether contacts make a few residuals so large that they would outweigh all others.
+        look: Whether to look all over the bounds too, where contacts are.
+        sigma: Noise of the sensors (2 nv,), where shorter windows have told it: a fit that leaves no more than that is
+            in no pit.
     """
     fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
     moved = _moved(start, recordings)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
-    fit = best_of_pits(fitter, start, guesses, scatter) if capped else _improved(fitter, start, guesses, scatter)
-    share = CAPPED if capped else 0.0
+    fit, share = _improved(fitter, start, guesses, scatter), CAPPED if capped else 0.0
+    if capped and look and (sigma is None or not _is_noise(fitter, fit, sigma)):
+        fit = best_of_pits(fitter, fit, guesses)
     court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], share)
     fit = court.settle(fit, rounds=1, iterations=5)
     court = replace(court, floor=floor_of(fit.residuals, moved))
     return _judged(court.settle(fit, rounds=1, iterations=5), court, moved)
 
 
-def best_of_pits(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -> Fit:
-    """The best of fits from several places: from the guesses (G, D), and from the best of looks all over the bounds.
+def best_of_pits(fitter: Fitter, fit: Fit, guesses: Array) -> Fit:
+    """The best of a fit and of others, from the best of looks all over the bounds and at guesses (G, D).
 
     What contacts do has pits between the guesses and the truth, from which slopes lead nowhere.
     """
-    starts = [guesses]
-    if start.nfree:
-        everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
-        starts += [xi[None] for xi in fitter.best(start, everywhere, scatter, PITS)]
-    return min((_improved(fitter, start, some, scatter) for some in starts), key=lambda f: f.cost)
+    start = fit.replay
+    if not start.nfree:
+        return fit
+    everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
+    best = fitter.best(start, everywhere, fit.scatter, PITS)
+    return min((fit, *(_improved(fitter, start, xi[None], fit.scatter) for xi in best)), key=lambda f: f.cost)
+
+
+def _is_noise(fitter: Fitter, fit: Fit, sigma: Array) -> bool:
+    """Whether noise of the sensors (2 nv,) leaves as much as a fit does, as far as its floor is known."""
+    yardstick = Yardstick.of(noise_of(fit, sigma, fitter, 0), fit.residuals)
+    return float(yardstick.gap(fit.residuals).mean()) < near_floor(float(yardstick.floor.mean()))
 
 
 def _improved(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -> Fit:
