@@ -16,7 +16,7 @@ demo: install  ## ten recorded Hopper episodes -> distribution -> distance to th
 	$(BIN)/nfpde evaluate $(RUN)/trajectory --truth $(RUN)/data/truth.json
 
 test: install  ## everything that runs on a CPU, JOBS tests at a time
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+	CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 	cargo test --quiet --workspace
 
 check: install  ## style, types, import rules, documentation

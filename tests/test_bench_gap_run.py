@@ -137,7 +137,7 @@ def test_a_table_goes_on_without_its_folder(stub, quick, tmp_path, monkeypatch):
     assert [row.index for row in rows] == [0, 1, 2]
     assert rows[:2] == first
     assert f"code {fingerprint()}" in (out / "gap.md").read_text()
-    monkeypatch.setattr(bench, "fingerprint", lambda: "other")
+    monkeypatch.setattr(bench, "fingerprint", lambda device: "other")
     bench.run(31, out, cases=3, folder=tmp_path / "changed", command=stub)
     assert len([*(tmp_path / "changed" / "answers").iterdir()]) == 3
     with pytest.raises(BadInput, match=r"with code '[0-9a-f]{16}', this call has 'other'"):
@@ -198,10 +198,10 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
     """Faults and diagnosis count, names of files too, and what they import; the look of tables does not."""
     monkeypatch.setattr(kept, "PACKAGE", tmp_path)
 
-    def write(name, text):
+    def write(name, text, device="cuda"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-        return kept.fingerprint.__wrapped__()
+        return kept.fingerprint.__wrapped__(device)
 
     for name in ("flow/model.py", "flow/__init__.py", "losses.py", "ot.py"):
         write(name, "0")
@@ -220,12 +220,19 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
         "flow/__init__.py",
     ):
         assert write(name, "1") == seen[-1]
+    # a row that plain MuJoCo measured is none of Warp's
+    before = write("sim/cpu.py", "1", "cpu")
+    assert write("kernels/new.py", "2", "cpu") == write("sim/warp_batch.py", "1", "cpu") == before
+    assert write("sim/cpu.py", "from nfpde.sim import warp_batch", "cpu") != before
 
 
 def test_the_fingerprint_has_the_diagnosis_and_not_the_fit():
     names = {p.relative_to(kept.PACKAGE).as_posix() for p in kept.deciding()}
     assert {"gap/answer.py", "bench/gap/score.py", "estimation/trajectory/student.py", "parameters.py"} <= names
     assert not {"__init__.py", "bench/gap/table.py", "cli/bench.py", "estimation/fit.py", "flow/model.py"} & names
+    warp = {"kernels/loss.py", "sim/warp.py", "sim/warp_batch.py"}
+    assert not warp & names
+    assert warp <= {p.relative_to(kept.PACKAGE).as_posix() for p in kept.deciding("cuda")}
 
 
 @pytest.mark.parametrize(("bad", "words"), [({"cases": 0}, "cases"), ({"jobs": 0}, "jobs"), ({"limit": -1.0}, "limit")])

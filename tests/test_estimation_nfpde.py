@@ -10,7 +10,7 @@ import torch
 from nfpde.checkpoint import load_state, save_state
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, NfpdeTrainer
-from nfpde.estimation.nfpde import surrogate
+from nfpde.estimation.nfpde import as_tensor, surrogate
 from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
 
@@ -92,6 +92,28 @@ def test_cai_ends_at_a_point(fitted, seed):
     assert excess < 0.1 * (SPACE.width**2).sum() / 12
     assert (xi.std(0) < 0.5 * fitted["softmax", seed].std(0)).all()
     assert emd(xi, ROBOTS).cost > 3 * emd(fitted["softmax", seed], ROBOTS).cost
+
+
+class OnGpu:
+    """Losses in a GPU's memory, which torch reads only where it has CUDA itself."""
+
+    def __dlpack_device__(self):
+        return 2, 0
+
+    def __dlpack__(self, *args, **kwargs):
+        raise AssertionError("Torch not compiled with CUDA enabled")
+
+    def numpy(self):
+        return np.array([[1.0, 2.0]])
+
+
+def test_losses_that_torch_cannot_reach_are_copied(monkeypatch):
+    """Warp may have a GPU where torch has none; on the host nothing is copied."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert as_tensor(OnGpu()).tolist() == [[1.0, 2.0]]
+    here = np.zeros((2, 3))
+    as_tensor(here)[0, 0] = 7.0
+    assert here[0, 0] == 7.0
 
 
 def test_surrogate_by_hand():

@@ -1,6 +1,7 @@
 """What WarpSimulator refuses: each error names the thing and what to do."""
 
 import warnings
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -11,7 +12,7 @@ from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import Whitening, make_simulator, warp, warp_device, warp_model
 from nfpde.sim.warp import WarpSimulator
-from nfpde.sim.warp_batch import WarpBatch
+from nfpde.sim.warp_batch import CONSTRAINTS, WarpBatch
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
 
 SPACE = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
@@ -33,6 +34,15 @@ def test_unknown_device():
     device: Any = "tpu"
     with pytest.raises(BadInput, match="'tpu'; there are: auto, cpu, cuda, warp-cpu"):
         make_simulator(load(PENDULUM), SPACE, device=device, check_influence=False)
+
+
+def test_a_gpu_without_memory_pools(monkeypatch):
+    """Steps allocate while they are captured, which needs pools; it is not memory that lacks."""
+    bare = SimpleNamespace(is_cuda=True, is_mempool_enabled=False)
+    monkeypatch.setattr(warp_device, "has_cuda", lambda: True)
+    monkeypatch.setattr(warp_device.wp, "get_device", lambda name: bare)
+    with pytest.raises(BadInput, match=r"need CUDA's memory pools.*or use device='cpu'"):
+        warp_device.open_device("cuda")
 
 
 def test_negative_number_of_worlds():
@@ -149,7 +159,7 @@ def test_out_of_memory_names_the_worlds_that_fit(small_memory):
         sim.losses(xi, windows, one)
     fitting = int(str(error.value).split("nworld=")[1].split(",")[0])
     assert 100 < fitting < 8000
-    del sim, error
+    del sim  # the error alone, which somebody may keep, holds no buffers
     found = pendulum(nworld=fitting).losses(xi, windows, one)
     np.testing.assert_allclose(found, pendulum().reference.losses(xi, windows, one), rtol=1e-4)
 
@@ -161,6 +171,46 @@ def test_as_many_worlds_as_fit(small_memory):
     sim.losses([[d] for d in np.linspace(0.1, 0.9, 20)], windows, np.ones(2))
     assert sim.usage().nworld < 8000
     assert sum(small_memory.values()) > 1 << 20
+
+
+@pytest.mark.parametrize("first", [1, 3])
+@pytest.mark.parametrize("call", ["losses", "rollout"])
+def test_larger_buffers_in_full_memory(small_memory, monkeypatch, first, call):
+    """Where constraints overflow, in the first piece or a later one, fewer worlds run at once, with the same answer."""
+    windows = make_windows(load(PENDULUM), 400, 1)
+    xi, one = np.linspace(0.1, 0.9, 20)[:, None], np.ones(2)
+    real, worlds = WarpBatch.run, []
+
+    def run(self, scale):
+        worlds.append(self.sizes.nworld)
+        found = real(self, scale)
+        return CONSTRAINTS if len(worlds) >= first and self.sizes.njmax < 200 else found
+
+    monkeypatch.setattr(WarpBatch, "run", run)
+    sim = pendulum()
+    if call == "losses":
+        np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
+    else:
+        pairs = np.repeat(np.arange(20), 400), np.tile(np.arange(400), 20)
+        expected = sim.reference.rollout(xi, windows, *pairs)
+        np.testing.assert_allclose(sim.rollout(xi, windows, *pairs), expected, rtol=1e-4, atol=1e-6)
+    assert worlds[0] > 2 * worlds[-1]
+    assert small_memory  # and none of it more than there is
+
+
+def test_simulators_that_keep_buffers_give_way(small_memory):
+    """What others keep for their next call is given back before a simulator is told that there is no memory."""
+    windows = make_windows(load(PENDULUM), 400, 1)
+    xi, one = np.linspace(0.1, 0.9, 20)[:, None], np.ones(2)
+    others = [pendulum(), pendulum()]
+    for other in others:
+        other.losses(xi, windows, one)
+    sim = pendulum()
+    held = sum(small_memory.values())
+    small_memory["foreign"] = (4 << 20) - held
+    np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
+    assert not any(other._batches for other in others)
+    np.testing.assert_allclose(others[0].losses(xi, windows, one), sim.losses(xi, windows, one), rtol=1e-4)
 
 
 def test_out_of_memory_beside_the_worlds(small_memory):
@@ -195,3 +245,26 @@ def test_the_memory_of_a_world_is_that_of_its_arrays():
     predicted = sim.usage().nbytes
     # rows and windows are counted for every world, and shared arrays of the model not at all
     assert 0.7 * predicted < batch.nbytes() < 1.1 * predicted
+
+
+def test_constants_of_every_row_are_counted():
+    """A mass changes what MuJoCo derives from it, for which each vector has a state of its own."""
+    space = ParameterSpace([Parameter("body_mass", "rod", 0.5, 2.0)])
+    sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
+    sim.losses(np.linspace(0.6, 1.9, 300)[:, None], make_windows(sim.model, 1, 1), np.ones(2))
+    (batch,) = sim._batches.values()
+    assert batch._constants is not None
+    assert 0.7 * sim.usage().nbytes < batch.nbytes() < 1.1 * sim.usage().nbytes
+
+
+def test_few_shapes_on_a_gpu():
+    """Small calls are filled up to powers of two there: the same answers from one set of buffers."""
+    windows = make_windows(load(PENDULUM), 5, 3)
+    sim, plain = pendulum(), pendulum()
+    sim._rounds = True
+    for count in (3, 4):
+        xi = np.linspace(0.1, 0.9, count)[:, None]
+        np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(2)), plain.losses(xi, windows, np.ones(2)))
+        np.testing.assert_array_equal(sim.predict(xi, windows), plain.predict(xi, windows))
+    assert sim.usage().nworld == 4 * 8
+    assert (len(sim._batches), len(plain._batches)) == (2, 3)  # losses and predictions, of one shape or of two

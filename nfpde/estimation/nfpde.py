@@ -26,6 +26,21 @@ LossFunction = Callable[[Array, NDArray[np.intp]], OnDevice]
 """Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,), on any device."""
 
 
+_ON_HOST = 1
+"""DLPack's number of memory that any processor of the host reads."""
+
+
+def as_tensor(losses: OnDevice) -> Tensor:
+    """Losses for torch, where they are: what is made of them is computed there, and M weights come back.
+
+    A copy on the host where torch has no CUDA: built without, or for a newer driver than the one that Warp runs on.
+    """
+    if losses.__dlpack_device__()[0] == _ON_HOST or torch.cuda.is_available():
+        return torch.from_dlpack(losses)
+    array: Any = losses
+    return torch.from_numpy(array.numpy())
+
+
 def surrogate(ratio: Tensor, weight: Tensor, clip: float) -> Tensor:
     """Eq. 8 on M samples: the sum of ratio x weight, pessimistically clipped as in PPO (Schulman et al., 2017).
 
@@ -96,8 +111,7 @@ class NfpdeTrainer:
         started = time.perf_counter()
         z = self.flow.sample(self.config.samples, self.generator)
         batch = self.rng.permutation(self.count)[: self.config.transitions]
-        # no copy: what is made of the losses is computed where they are, and M weights come back
-        losses = torch.from_dlpack(self.losses(self.space.to_physical(z.numpy()), batch))
+        losses = as_tensor(self.losses(self.space.to_physical(z.numpy()), batch))
         if self.candidate == "softmax":
             self.beta = self.config.beta or next_beta(losses, self.beta, self.channels, self.config.least_effective)
             values = softmax(losses, self.beta)

@@ -108,9 +108,8 @@ def cut_recordings(
         if len(half) < FEWEST:
             raise BadDataset(
                 f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
-                f"{name}, "
-                f"at least {FEWEST} are needed; record about {2 * FEWEST * (LEAST_STEPS + 1)} control steps or more, best as "
-                f"four or more episodes"
+                f"{name}, at least {FEWEST} are needed; record about {2 * FEWEST * (LEAST_STEPS + 1)} control steps or "
+                f"more, best as four or more episodes"
             )
     first, second = _spread(first, windows), _spread(second, windows)
     singles = dataset.windows(1, history=history, past=history)

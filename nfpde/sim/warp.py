@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import warp as wp
@@ -23,9 +24,16 @@ from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes,
 from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory, ran_out, room_for
 from nfpde.sim.warp_effects import WarpEffects
 from nfpde.sim.warp_model import WarpModel
-from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world
+from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world, cut, longest, power_of_two
 from nfpde.sim.warp_whitening import WarpWhitening
 from nfpde.sim.whitening import Whitening
+
+_ALIVE: WeakSet[WarpSimulator] = WeakSet()
+"""All simulators: what one does not use, another may need."""
+
+SMALL = 1 << 12
+"""Worlds up to which another shape, with buffers and a graph of its own, costs a GPU more than worlds beyond those that
+were asked for: so few it steps in no more time than one."""
 
 MOST_BATCHES = 3
 """Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
@@ -98,6 +106,8 @@ class WarpSimulator(Simulator):
         self._memory = free_bytes(self.device)
         self._bytes_of: dict[Sizes, int] = {}
         self._whitening: WarpWhitening | None = None
+        self._rounds = self.device.is_cuda
+        _ALIVE.add(self)
 
     def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
         """See `Simulator.rollout`; more worlds than fit at once are simulated in chunks."""
@@ -130,6 +140,7 @@ class WarpSimulator(Simulator):
         unit = self._check_unit(windows, scale)
         check_rows(vector, windows, whitening)
         if self._whitening is None or self._whitening.whitening is not whitening:
+            self._whitening = None  # two of them need not fit
             with room_for(self.device, f"the whitening of {len(windows)} windows"):
                 self._whitening = WarpWhitening(whitening, self.device)
         out = np.zeros(len(xi))
@@ -192,7 +203,7 @@ class WarpSimulator(Simulator):
 
     def release(self) -> None:
         """Give the memory of all buffers back; the next call makes them anew."""
-        self._batches.clear()
+        self._free_batches()
         self._whitening = None
 
     def usage(self) -> Usage:
@@ -218,30 +229,46 @@ class WarpSimulator(Simulator):
         """Simulate pairs, as many at once as fit: which rows, their windows, and the batch that ran them in order."""
         self._check_windows(windows)
         self._count(len(vector), windows)
-        most = self._most_worlds(windows, output)
-        parts = _cut(len(vector), most)
-        largest = _longest(parts)
-        # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
-        n = largest if len(parts) > 1 else min(most, 1 << (largest - 1).bit_length())
-        sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
-        for part in parts:
-            vectors, v = np.unique(vector[part], return_inverse=True)
-            chosen, w = np.unique(window[part], return_inverse=True)
-            yield part, window[part], self._run(sizes, xi[vectors], windows[chosen], scale=scale, pairs=(v, w))
+        done = 0
+        while done < len(vector):
+            most = self._most_worlds(windows, output)
+            parts = cut(slice(done, len(vector)), most)
+            largest = longest(parts)
+            # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
+            n = largest if len(parts) > 1 else min(most, power_of_two(largest))
+            sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
+            for part in parts:
+                vectors, v = np.unique(vector[part], return_inverse=True)
+                chosen, w = np.unique(window[part], return_inverse=True)
+                batch = self._run(sizes, xi[vectors], windows[chosen], scale=scale, pairs=(v, w))
+                if batch is None:
+                    break
+                yield part, window[part], batch
+                done = part.stop
 
     def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
         """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""
         output: Output = "states" if scale is None else "losses"
         self._count(len(xi) * len(windows), windows)
-        most = self._most_worlds(windows, output)
-        rows = _cut(len(xi), most)
-        columns = _cut(len(windows), max(1, most // _longest(rows)))
-        # one shape for all of them, so that only one is in memory
-        nrow, nwindow = _longest(rows), _longest(columns)
-        sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
-        for vectors, chosen in product(rows, columns):
-            part = windows[np.arange(chosen.start, chosen.stop)]
-            yield vectors, chosen, self._run(sizes, xi[vectors], part, scale=scale)
+        left = [(slice(0, len(xi)), slice(0, len(windows)))]
+        while left:
+            most = self._most_worlds(windows, output)
+            rows = cut(left[0][0], most)
+            columns = cut(left[0][1], max(1, most // longest(rows)))
+            # one shape for all of them, so that only one is in memory
+            nrow, nwindow = longest(rows), longest(columns)
+            if self._rounds and nrow * nwindow <= SMALL and 4 * nrow * nwindow <= most:
+                nrow, nwindow = power_of_two(nrow), power_of_two(nwindow)
+            sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+            tiles = list(product(rows, columns))
+            left[:1] = tiles
+            for vectors, chosen in tiles:
+                part = windows[np.arange(chosen.start, chosen.stop)]
+                batch = self._run(sizes, xi[vectors], part, scale=scale)
+                if batch is None:
+                    break
+                del left[0]
+                yield vectors, chosen, batch
 
     def _run(
         self,
@@ -251,14 +278,19 @@ class WarpSimulator(Simulator):
         *,
         scale: Array | None = None,
         pairs: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
-    ) -> WarpBatch:
-        """Run a batch of the shape, with larger buffers for as long as they overflow."""
+    ) -> WarpBatch | None:
+        """Run a batch of the shape, with larger buffers for as long as they overflow.
+
+        Returns:
+            The batch; None where fewer worlds than these fit with larger buffers.
+        """
         fields = self._model.stage(xi, derive=self._model.derived is not None and sizes.all_pairs)
         values, active = self._effects.stage(xi)
         while True:
             if self._buffers is None:
                 self._buffers = buffer_sizes(self.model, windows)
             wanted = replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1])
+            batch, full = None, False
             try:
                 batch = self._batch(wanted)
                 batch.stage(fields, values, active, windows)
@@ -270,8 +302,13 @@ class WarpSimulator(Simulator):
             except RuntimeError as error:
                 if not ran_out(error):
                     raise
-                self._batches.clear()
-                raise out_of_memory(self.device, self._memory, wanted.nworld, self._bytes(wanted)) from None
+                full, overflow = True, 0
+            if full or batch is None:
+                # here the error, and with it all that its frames hold, is gone
+                self._free_batches()
+                if not self._others_released():
+                    raise out_of_memory(self.device, self._memory, wanted.nworld, self._bytes(wanted))
+                continue
             if overflow & COLLIDER:
                 raise BadModel(
                     "MuJoCo Warp's buffers for collisions of meshes or height fields overflowed, and their size is "
@@ -282,7 +319,22 @@ class WarpSimulator(Simulator):
             nconmax, njmax = self._buffers
             grown = (2 * nconmax if overflow & CONTACTS else nconmax, 2 * njmax if overflow & CONSTRAINTS else njmax)
             self._buffers = grown
-            self._batches.clear()
+            # freed, not dropped: whoever works through what it gave before still holds it
+            self._free_batches()
+            if sizes.nworld > 1 and sizes.nworld > self._fitting(replace(sizes, nconmax=grown[0], njmax=grown[1])):
+                return None
+
+    def _free_batches(self) -> None:
+        while self._batches:
+            self._batches.popitem()[1].free()
+
+    def _others_released(self) -> bool:
+        """Have other simulators on the device give back what they keep for their next call; whether any did."""
+        keeping = [s for s in _ALIVE if s is not self and s.device == self.device and s._batches]
+        for simulator in keeping:
+            simulator.release()
+        wp.synchronize_device(self.device)
+        return bool(keeping)
 
     def _batch(self, sizes: Sizes) -> WarpBatch:
         """The batch of a shape, made or kept from an earlier call."""
@@ -290,7 +342,7 @@ class WarpSimulator(Simulator):
         if batch is None:
             needed = sizes.nworld * self._bytes(sizes)
             while self._batches and (len(self._batches) >= MOST_BATCHES or self._taken() + needed > self._memory):
-                self._batches.pop(next(iter(self._batches)))
+                self._batches.pop(next(iter(self._batches))).free()
             batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
         self._batches[sizes] = batch
         return batch
@@ -309,7 +361,11 @@ class WarpSimulator(Simulator):
             return self.nworld
         if self._buffers is None:
             self._buffers = buffer_sizes(self.model, windows)
-        return most_worlds(self._memory, self._bytes(self._sizes(windows, output, nrow=1, nworld=1, nwindow=1)))
+        return self._fitting(self._sizes(windows, output, nrow=1, nworld=1, nwindow=1))
+
+    def _fitting(self, sizes: Sizes) -> int:
+        """Worlds of that kind that may be simulated at once."""
+        return self.nworld or most_worlds(self._memory, self._bytes(sizes))
 
     def _bytes(self, sizes: Sizes) -> int:
         """Memory of a world in batches of that kind, measured once for each."""
@@ -328,14 +384,3 @@ class WarpSimulator(Simulator):
 
     def _count(self, rows: int, windows: Windows) -> None:
         self.simulated_steps += rows * windows.horizon * self.substeps(windows.control_dt)
-
-
-def _longest(pieces: list[slice]) -> int:
-    return max((p.stop - p.start for p in pieces), default=1)
-
-
-def _cut(total: int, most: int) -> list[slice]:
-    """Cut so many into near-equal pieces of at most `most`."""
-    pieces = -(-total // most)
-    ends = np.linspace(0, total, pieces + 1).round().astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

@@ -41,6 +41,7 @@ def bare_stepping(simulator: WarpSimulator, windows: Windows, nworld: int) -> Ca
                 mjw.step(m, d)
 
         steps()
+        wp.synchronize_device(device)  # else what that gave back stays beside what the graph allocates
         with wp.ScopedCapture() as capture:
             steps()
     # the graph keeps none of the memory that it works on

@@ -159,6 +159,8 @@ class WarpBatch:
                 # kernels are loaded by their first launch, which a capture cannot hold
                 self._begin()
                 self._control_step(1)
+                # what that allocated and gave back would stay beside what the graph allocates for itself
+                wp.synchronize_device(self.device)
                 with wp.ScopedCapture() as capture:
                     self._control_step(self.sizes.nsub)
                 self._graph = capture.graph
@@ -210,16 +212,13 @@ class WarpBatch:
     def nbytes(self) -> int:
         """Bytes of all its arrays; the solver's passing buffers come on top."""
         own = [v for v in vars(self).values() if isinstance(v, wp.array)]
-        return sum(
-            a.capacity
-            for a in [
-                *own,
-                *arrays_of(self.d),
-                *arrays_of(self._staged),
-                *self._fields.values(),
-                *self._memories.values(),
-            ]
-        )
+        parts = [self.d, self._staged] if self._constants is None else [self.d, self._staged, self._constants]
+        arrays = [*own, *self._fields.values(), *self._memories.values(), *(a for p in parts for a in arrays_of(p))]
+        return sum(a.capacity for a in arrays)
+
+    def free(self) -> None:
+        """Let go of all memory, whoever still holds the batch; it cannot run again."""
+        vars(self).clear()
 
     def _begin(self) -> None:
         z, d = self.sizes, self.d

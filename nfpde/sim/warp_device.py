@@ -37,7 +37,7 @@ def open_device(name: WarpDevice) -> wp.Device:
     """Warp's device of that name.
 
     Raises:
-        BadInput: no such name, or no CUDA device and driver that Warp can use.
+        BadInput: no such name, no CUDA device and driver that Warp can use, or one without memory pools.
     """
     if name not in get_args(WarpDevice):
         raise BadInput(f"no device of MuJoCo Warp is called {name!r}; there are: {', '.join(get_args(WarpDevice))}")
@@ -47,11 +47,19 @@ def open_device(name: WarpDevice) -> wp.Device:
             f"CUDA {'.'.join(map(str, wp.get_cuda_toolkit_version() or ()))} or newer, or use device='cpu'"
         )
     start_warp()
-    return wp.get_device("cpu" if name == "warp-cpu" else "cuda:0")
+    device = wp.get_device("cpu" if name == "warp-cpu" else "cuda:0")
+    if device.is_cuda and not device.is_mempool_enabled:
+        raise BadInput(
+            "device 'cuda': MuJoCo Warp's steps need CUDA's memory pools, which this GPU or its driver does not "
+            "support, or which WARP_ENABLE_MEMPOOLS_AT_INIT=0 has turned off; turn them on, or use device='cpu'"
+        )
+    return device
 
 
 def free_bytes(device: wp.Device) -> int:
     """Memory [bytes] that simulations may take of what is free now."""
+    # memory that was given back is free only when what was asked of the device is done
+    wp.synchronize_device(device)
     return int(SHARE * device.free_memory) if device.is_cuda else CPU_BYTES
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import mujoco
@@ -41,8 +42,8 @@ def buffer_sizes(model: mujoco.MjModel, windows: Windows) -> tuple[int, int]:
             mujoco.mj_forward(model, data)
             contacts, constraints = max(contacts, data.ncon), max(constraints, data.nefc)
     return (
-        _power_of_two(max(LEAST_CONTACTS, HEADROOM * contacts)),
-        _power_of_two(max(LEAST_CONSTRAINTS, HEADROOM * constraints)),
+        power_of_two(max(LEAST_CONTACTS, HEADROOM * contacts)),
+        power_of_two(max(LEAST_CONSTRAINTS, HEADROOM * constraints)),
     )
 
 
@@ -110,5 +111,18 @@ def counted(device: wp.Device) -> Iterator[Counter]:
             wp.set_device_allocator(device, None if before is device.current_allocator else before)
 
 
-def _power_of_two(n: int) -> int:
+def power_of_two(n: int) -> int:
+    """The least power of two that is no smaller."""
     return 1 << (n - 1).bit_length()
+
+
+def cut(whole: slice, most: int) -> list[slice]:
+    """Cut a range into near-equal pieces of at most `most`."""
+    pieces = -(-(whole.stop - whole.start) // most)
+    ends = np.linspace(whole.start, whole.stop, pieces + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def longest(pieces: list[slice]) -> int:
+    """Length of the longest of several ranges, at least 1."""
+    return max((p.stop - p.start for p in pieces), default=1)

@@ -26,26 +26,38 @@ SAME = ("seed", "limit", "diagnosis", "versions", "code")
 """Facts that two tables must share if a row of one is to stand in the other."""
 
 
+ON_WARP = ("kernels/", "sim/warp")
+"""What the names of files begin with that a diagnosis on plain MuJoCo never runs."""
+
+
 @cache
-def fingerprint() -> str:
-    """16 hex digits that change with the text of any file that a row depends on."""
+def fingerprint(device: str = "cpu") -> str:
+    """16 hex digits that change with the text of any file that a row measured on a device depends on."""
     digest = hashlib.sha256()
-    for path in sorted(deciding()):
+    for path in sorted(deciding(device)):
         digest.update(f"{path.relative_to(PACKAGE).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def deciding() -> set[Path]:
-    """The files that a row depends on: those of `DECIDES`, what they import, what that imports, and so on."""
+def deciding(device: str = "cpu") -> set[Path]:
+    """The files that a row depends on: those of `DECIDES`, what they import, what that imports, and so on.
+
+    Args:
+        device: where it was measured; MuJoCo Warp decides nothing on `cpu`.
+    """
     found: set[Path] = set()
     waiting = [p for folder in DECIDES for p in (PACKAGE / folder).rglob("*") if p.suffix in (".py", ".xml", ".toml")]
     waiting = [p for p in waiting if p.parent != PACKAGE / "bench" / "gap" or p.name not in SHOWS]
     while waiting:
         path = waiting.pop()
-        if path not in found:
+        if path not in found and not (device == "cpu" and _on_warp(path)):
             found.add(path)
             waiting += _imports(path) if path.suffix == ".py" else []
     return found
+
+
+def _on_warp(path: Path) -> bool:
+    return path.relative_to(PACKAGE).as_posix().startswith(ON_WARP)
 
 
 def _imports(path: Path) -> list[Path]:

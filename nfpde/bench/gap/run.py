@@ -166,7 +166,7 @@ def _facts(seed: int, cases: int, limit: float, quick: bool, device: str) -> dic
         "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}",
         "seed": seed,
         "limit": limit,
-        "code": fingerprint(),
+        "code": fingerprint(device),
         "versions": {name: version(name) for name in ("nfpde", "mujoco", "numpy", "scipy")},
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
     }
