@@ -210,7 +210,22 @@ def test_simulators_that_keep_buffers_give_way(small_memory):
     small_memory["foreign"] = (4 << 20) - held
     np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
     assert not any(other._batches for other in others)
+    del small_memory["foreign"]
     np.testing.assert_allclose(others[0].losses(xi, windows, one), sim.losses(xi, windows, one), rtol=1e-4)
+
+
+def test_no_memory_at_all(small_memory):
+    """Neither for a model, nor for the few worlds whose size is measured; once there is, all goes on."""
+    windows, one = make_windows(load(PENDULUM), 4, 1), np.ones(2)
+    sim = pendulum()
+    small_memory["foreign"] = 4 << 20
+    with pytest.raises(BadInput, match=r"no memory for a few worlds, whose size is measured, beside"):
+        sim.losses([[0.5]], windows, one)
+    with pytest.raises(BadInput, match=r"no memory for the model beside"):
+        pendulum()
+    del small_memory["foreign"]
+    expected = sim.reference.losses([[0.5]], windows, one)
+    np.testing.assert_allclose(sim.losses([[0.5]], windows, one), expected, rtol=1e-4)
 
 
 def test_out_of_memory_beside_the_worlds(small_memory):

@@ -98,7 +98,7 @@ class WarpSimulator(Simulator):
         self.jumps = self.reference.jumps
         self.nworld = nworld
         writer = self.reference.writer
-        with wp.ScopedDevice(self.device):
+        with wp.ScopedDevice(self.device), room_for(self.device, "the model"):
             self._effects = WarpEffects(self.effects, writer.nbase, float(self.model.opt.timestep))
             self._model = WarpModel(self.model, self.space, writer, self._effects.step_fields)
         self._batches: dict[Sizes, WarpBatch] = {}
@@ -365,7 +365,17 @@ class WarpSimulator(Simulator):
 
     def _fitting(self, sizes: Sizes) -> int:
         """Worlds of that kind that may be simulated at once."""
-        return self.nworld or most_worlds(self._memory, self._bytes(sizes))
+        if self.nworld:
+            return self.nworld
+        try:
+            return most_worlds(self._memory, self._bytes(sizes))
+        except RuntimeError as error:
+            if not ran_out(error):
+                raise
+        self._free_batches()
+        self._others_released()
+        with room_for(self.device, "a few worlds, whose size is measured,"):
+            return most_worlds(self._memory, self._bytes(sizes))
 
     def _bytes(self, sizes: Sizes) -> int:
         """Memory of a world in batches of that kind, measured once for each."""
