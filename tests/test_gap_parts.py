@@ -238,10 +238,10 @@ def test_halves_show_the_gap_alike():
         assert held is not None
         assert len(held) == 3
         assert np.isin([1, 4], held).sum() == 1
-    few = cut_recordings(record(episodes=4, rows=55), 0, 0, 160)  # 4 x 10 windows: either half must hold 20
+    few = cut_recordings(record(episodes=4, rows=45), 0, 0, 160)  # 4 x 11 windows: either half must hold 20
     for seed in range(8):
         held = alike_halves(few, np.ones(len(few.fit) + len(few.held)), seed)
-        assert held is None or len(cut_recordings(record(episodes=4, rows=55), 0, 0, 160, held=held).fit) >= 20
+        assert held is None or len(cut_recordings(record(episodes=4, rows=45), 0, 0, 160, held=held).fit) >= 20
     three = cut_recordings(record(episodes=3, rows=300), 0, 0, 160)
     assert alike_halves(three, np.ones(len(three.fit) + len(three.held)), 0) is None
 

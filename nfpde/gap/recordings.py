@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,35 +88,37 @@ def cut_recordings(
     """
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
-    # a row apart: the noise of one that ends a window and starts the next would be in both
-    every = dataset.windows(steps, stride=steps + 1, history=history, past=history)
-    settled = np.flatnonzero(every.row >= lead)
-    if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
-        every = every[settled]
     held_episodes = _held_out(lengths, steps, seed) if held is None else held
-    if held_episodes is None:
-        late = every.row + steps > (lengths[0] - 1) // 2
-        early = ~late & (every.row + steps <= (lengths[0] - 1) // 2)
-        held_names: Sequence[str] = dataset.names
-    else:
-        late = np.isin(every.episode, held_episodes)
-        early = ~late
-        held_names = [dataset.names[i] for i in held_episodes]
-    first, second = every[np.flatnonzero(early)], every[np.flatnonzero(late)]
+    held_names = dataset.names if held_episodes is None else [dataset.names[i] for i in held_episodes]
+    middle = (int(lengths[0]) - 1) // 2
+    # a row apart: the noise of one that ends a window and starts the next would be in both
+    apart = dataset.windows(steps, stride=steps + 1, history=history, past=history)
+    first, second = _halves(apart, lead, held_episodes, middle)
+    if min(len(first), len(second)) < FEWEST:  # short recordings cannot spare the rows
+        first, second = _halves(dataset.windows(steps, history=history, past=history), lead, held_episodes, middle)
     for half, name in ((first, "fit"), (second, "hold out")):
         if len(half) < FEWEST:
             raise BadDataset(
                 f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
-                f"{name}, at least {FEWEST} are needed; record about {2 * FEWEST * (LEAST_STEPS + 1)} control steps or "
-                f"more, best as four or more episodes"
+                f"{name}, at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, "
+                f"best as four or more episodes"
             )
     first, second = _spread(first, windows), _spread(second, windows)
     singles = dataset.windows(1, history=history, past=history)
     inside = np.isin(singles.episode, np.unique(second.episode))
     if held_episodes is None:
-        inside &= singles.row > (lengths[0] - 1) // 2
+        inside &= singles.row > middle
     rows = singles[np.flatnonzero(inside)[: 20 * windows]]
     return Recordings(first, second, _horizons(steps), blocks_of(second), tuple(held_names), rows)
+
+
+def _halves(every: Windows, lead: int, held: NDArray[np.intp] | None, middle: int) -> tuple[Windows, Windows]:
+    """Windows to fit and held-out ones: of the held-out episodes, or those that end after a row of a single one."""
+    settled = np.flatnonzero(every.row >= lead)
+    if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
+        every = every[settled]
+    late = every.row + every.horizon > middle if held is None else np.isin(every.episode, held)
+    return every[np.flatnonzero(~late)], every[np.flatnonzero(late)]
 
 
 def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
