@@ -195,7 +195,6 @@ def test_larger_buffers_in_full_memory(small_memory, monkeypatch, first, call):
         expected = sim.reference.rollout(xi, windows, *pairs)
         np.testing.assert_allclose(sim.rollout(xi, windows, *pairs), expected, rtol=1e-4, atol=1e-6)
     assert worlds[0] > 2 * worlds[-1]
-    assert small_memory  # and none of it more than there is
 
 
 def test_simulators_that_keep_buffers_give_way(small_memory):

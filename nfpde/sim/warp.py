@@ -290,7 +290,7 @@ class WarpSimulator(Simulator):
             if self._buffers is None:
                 self._buffers = buffer_sizes(self.model, windows)
             wanted = replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1])
-            batch, full = None, False
+            batch, overflow = None, 0
             try:
                 batch = self._batch(wanted)
                 batch.stage(fields, values, active, windows)
@@ -302,8 +302,8 @@ class WarpSimulator(Simulator):
             except RuntimeError as error:
                 if not ran_out(error):
                     raise
-                full, overflow = True, 0
-            if full or batch is None:
+                batch = None
+            if batch is None:
                 # here the error, and with it all that its frames hold, is gone
                 self._free_batches()
                 if not self._others_released():
