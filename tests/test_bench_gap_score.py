@@ -279,6 +279,25 @@ def test_figures_count_what_they_say():
     assert "hold the true value in 0.0 % of 3 values of effects; in no free parameters" in page
 
 
+def test_pairs_go_by_the_lesser_size_and_outsiders_by_their_own():
+    """A pair of sizes 50 and 0.5 counts where 0.5 lies; its place there is not mixed with single effects'."""
+    great, small = (fault("coulomb_friction", "elbow", {"torque": 0.5}, size=s) for s in (50.0, 0.5))
+    found = diagnosis("effects", effect("coulomb_friction", "elbow", torque=0.5))
+    rows = [
+        judge(key_of("two", great, small), "done", 1.0, found),
+        judge(key_of("one", great), "done", 1.0, found),
+        judge(key_of("outsider", fault("magnet", "elbow", {}, size=5.0)), "done", 1.0, diagnosis("unexplained")),
+    ]
+    sizes = by_size(rows)
+    assert [(b["pairs"], b["both"]) for b in sizes] == [(0, None), (1, 0.0), *[(0, None)] * 4]
+    assert [(b["outsiders"], b["unexplained"]) for b in sizes] == [*[(0, None)] * 3, (1, 1.0), *[(0, None)] * 2]
+    assert [b["cases"] for b in sizes] == [0, 0, 0, 0, 0, 1]
+    facts = {"command": "c", "seed": 1, "code": "0f", "versions": {}, "machine": "m", "device": "cpu", "cases": 3}
+    page = table(rows, facts, "gap.png")
+    assert "| 0.3 to 1 | 0 |  |  |  | 1 | 0.0 % | 0 |  |" in page
+    assert "| 3 to 10 | 0 |  |  |  | 0 |  | 1 | 100.0 % |" in page
+
+
 def test_wilson_intervals():
     """The published example of 0.2 of 10: 0.057 to 0.51."""
     assert wilson(0.2, 10) == (pytest.approx(0.0567, abs=1e-4), pytest.approx(0.5098, abs=1e-4))

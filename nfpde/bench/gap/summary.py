@@ -87,19 +87,23 @@ def at_floor(rows: Sequence[Row]) -> float | None:
 
 
 def by_size(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Accuracy of single effects by their size over the noise."""
-    one = of_kind(rows, "one")
+    """Accuracy by size over the noise: of single effects, of outsiders, and of pairs by the lesser of their two."""
     found = []
     for low, high in pairwise(BINS):
-        some = [row for row in one if low <= row.sizes[0] < high]
+        some = [row for row in rows if row.sizes and low <= min(row.sizes) < high]
+        one, two, out = (of_kind(some, kind) for kind in ("one", "two", "outsider"))
         found.append(
             {
                 "low": low,
                 "high": None if math.isinf(high) else high,
-                "cases": len(some),
-                "cause": rate(some, lambda r: r.cause),
-                "place": rate(some, lambda r: r.place),
-                "value_error": _middle([e for row in some for e in row.errors.values()]),
+                "cases": len(one),
+                "cause": rate(one, lambda r: r.cause),
+                "place": rate(one, lambda r: r.place),
+                "value_error": _middle([e for row in one for e in row.errors.values()]),
+                "pairs": len(two),
+                "both": rate(two, lambda r: r.right),
+                "outsiders": len(out),
+                "unexplained": rate(out, lambda r: r.right),
             }
         )
     return found

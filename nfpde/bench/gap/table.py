@@ -83,8 +83,11 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             "",
             f"![accuracy by size]({curve})",
             "",
-            "| size | cases | right cause | right place | error of values, median |",
-            "|---|---|---|---|---|",
+            "A pair goes by the lesser of its two sizes.",
+            "",
+            "| size | cases | right cause | right place | error of values, median | pairs | both found | outsiders "
+            "| unexplained |",
+            "|---|---|---|---|---|---|---|---|---|",
             *map(_size, by_size(rows)),
             "",
             "## By effect",
@@ -141,8 +144,11 @@ def _figure(figure: tuple[str, str, float | None, int, bool | None]) -> str:
 
 def _size(row: Mapping[str, Any]) -> str:
     edge = f"{row['low']:g} to {row['high']:g}" if row["high"] else f"above {row['low']:g}"
-    cells = [_percent(row["cause"]), _percent(row["place"]), _percent(row["value_error"])]
-    return f"| {edge} | {row['cases']} | {' | '.join(cells)} |"
+    one = " | ".join(_percent(row[key]) for key in ("cause", "place", "value_error"))
+    pairs, outsiders = (
+        f"{row[n]} | {_percent(row[key])}" for n, key in (("pairs", "both"), ("outsiders", "unexplained"))
+    )
+    return f"| {edge} | {row['cases']} | {one} | {pairs} | {outsiders} |"
 
 
 def _effect(row: Mapping[str, Any]) -> str:
