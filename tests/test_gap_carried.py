@@ -65,6 +65,24 @@ def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
     assert len(selection._pruned(everything, accepted, 10.0)[1]) == 1  # what was asked for is not all given up
 
 
+@pytest.mark.parametrize(("gained", "removed", "stays"), [(0.3, 0.1, True), (-0.3, 0.1, False), (0.3, -0.1, False)])
+def test_what_shorter_windows_asked_for_stays_where_longer_ones_do_not_speak_against_it(gained, removed, stays):
+    """What it is worth shows at one length and hardly at another; who asked for it was right unless it harms here."""
+
+    class Dense(Numbered):
+        removes = (5.0, removed)
+
+        def without(self, trial: Any, index) -> Any:
+            return SimpleNamespace(effects=super().without(trial, index).effects, density=np.zeros(40))
+
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(0))
+    selection = Dense(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    everything: Any = SimpleNamespace(effects=[0, 1], density=gained + 0.01 * np.random.default_rng(1).normal(size=40))
+    accepted: Any = [0, 1]
+    assert selection._pruned(everything, accepted, 10.0, accepted)[1] == ([0, 1] if stays else [0])
+    assert selection._pruned(everything, accepted, 10.0)[1] == [0]
+
+
 def test_an_effect_is_not_tried_beside_itself():
     """A rival that has been accepted since is no rival any more."""
     friction, damping = effect("coulomb_friction", "elbow", torque=(0, 1)), effect("armature", "elbow", inertia=(0, 1))
@@ -140,8 +158,11 @@ class Asking(Selection):
 
 
 def test_what_is_left_is_asked_about_once():
-    """On longer windows only where nobody asked on the shorter ones, as nothing was left there but noise."""
-    selection = Asking(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    """On longer windows only where nobody asked on the shorter ones, as nothing was left there but noise.
+
+    On the last ones always; beside contacts, where the floor is known to a factor only, even below it.
+    """
+    selection = Asking(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, last=False)
     base: Any = SimpleNamespace(left=100.0)
 
     def run(left, **more):
@@ -155,6 +176,11 @@ def test_what_is_left_is_asked_about_once():
     assert run(4.0) == 0  # the same, on windows longer still
     assert run(4.0, further=True) == 1
     assert run(40.0) == 1  # much of the gap: asked again
+    selection.last = True
+    assert run(4.0) == 1
+    assert run(1.0) == 0
+    selection.sigma = np.ones(4)
+    assert run(1.0) == 1
 
 
 class Line:

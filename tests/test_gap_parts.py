@@ -257,6 +257,13 @@ def test_a_diverged_window_is_bad_but_finite():
     assert density[1] < density[0] - 1
 
 
+class ByGain(Selection):
+    """A selection that has no windows whose slopes it could ask."""
+
+    def slope(self, trial, current):
+        return 1.0
+
+
 def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
     fit: Any = SimpleNamespace(residuals=residuals)
@@ -270,7 +277,7 @@ def test_what_leaves_the_gap_is_not_named():
     held, gained = 3 * rng.normal(size=(40, 2, 4)), rng.uniform(1, 2, 40)
     court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
-    selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick)
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick)
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     damping = effect("viscous_damping", "elbow", damping=(0.0, 1.0))
     base = trial(None, np.zeros(40), held)
@@ -287,7 +294,7 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
     rng = np.random.default_rng(9)
     noise, first_gap = rng.normal(size=(40, 2, 4)), 1000.0
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
-    selection = Selection(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None]))
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None]))
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     for size, named in ((3.0, True), (1.02, False)):
         left = trial(None, np.zeros(40), size * noise)
@@ -304,10 +311,10 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     left, yardstick = trial(None, np.zeros(40), size * noise), Yardstick(np.ones((2, 4)), noise[None], 0.0)
     for sigma in (np.ones(4), None):
         court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
-        selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
+        selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
         assert selection.at_floor(left) is (sigma is not None and at_floor)
     monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: 2.0 * noise[None])
-    assert Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4)).at_floor(left)
+    assert ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4)).at_floor(left)
 
 
 @pytest.mark.parametrize(("few", "named"), [(40.0, True), (50.0, True), (90.0, False), (400.0, False)])
@@ -321,7 +328,7 @@ def test_most_windows_must_gain_more_than_a_few_lose(few, named):
     before, after = np.where(last, 25.0, 1.0), np.where(last, few, 0.5)
     residuals = [np.sqrt(squares) * np.ones((40, 1, 2)) for squares in (before, after)]
     yardstick = Yardstick(np.ones((1, 2)), np.zeros((1, 40, 1, 2)), 0.0)
-    selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=yardstick)
+    selection = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=yardstick)
     current, found = (trial(None, np.zeros(40), r) for r in residuals)
     assert selection.shrinks(found, current, 3.4) is named
 
@@ -344,7 +351,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     trials = [trial(one, density, noise), trial(other, density - behind - 1e-6 * rng.normal(size=40), size * noise)]
     court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
-    selection = Selection(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
     found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
     assert found is not None
     assert found[1].effect is one
@@ -358,7 +365,7 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     block = np.arange(40) // 4
     held = 3 * rng.normal(size=(40, 2, 4))
     court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
-    selection = Selection(
+    selection = ByGain(
         ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
     )
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))

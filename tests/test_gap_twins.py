@@ -166,6 +166,9 @@ class Known(Selection):
     def given_by_noise(self, trial: Any, current: Any, sigma: Any, gain: Any):
         return False
 
+    def slope(self, trial, current):
+        return 1.0
+
 
 def known(leads, **more):
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))

@@ -104,7 +104,8 @@ class Refitting:
         index = len(replay.effects) - 1
         # without the effect the parameters may have been bent far from the truth to stand in for it
         straight = np.concatenate([court.nominal, base.xi[len(court.nominal) :]])
-        starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in (base.xi, straight)]
+        places = [base.xi, straight] if screened.beside is None else [base.xi, straight, screened.beside]
+        starts = [np.hstack([np.broadcast_to(xi, (len(values), len(xi))), values]) for xi in places]
         guesses = np.concatenate(starts)
         # a threshold does nothing on one side, and all at once on the other; a load far out resembles a heavy one
         looks, closer, shares = _looks(screened.effect)

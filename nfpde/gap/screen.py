@@ -39,6 +39,7 @@ class Screened:
     explained: reduction of half the weighted squares by each scatter [nats]
     share: of what the best candidate could explain; by the scatter in which it is largest
     starts: scatters in which it explains something, with values to start a fit from (G, P)
+    beside: parameters of the base (D,) beside which another effect does the same; None where none was found
     """
 
     effect: Effect
@@ -47,6 +48,7 @@ class Screened:
     explained: tuple[float, ...]
     share: float
     starts: tuple[tuple[Scatter, Array], ...]
+    beside: Array | None = None
 
 
 class _View:

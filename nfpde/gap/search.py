@@ -122,7 +122,8 @@ class Search:
         whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
         first = in_noise(base, court, lengths[0], self.seed, whole=whole)
-        near, selection, final, accepted = self._select(first, self.select(first))
+        selection = replace(self.select(first), last=len(lengths) == 1)
+        near, selection, final, accepted = self._select(first, selection)
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
@@ -138,6 +139,7 @@ class Search:
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
+            selection = replace(selection, last=longer is lengths[-1])
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0)
 

@@ -13,6 +13,7 @@ from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.fit import Fit
 from nfpde.gap.levels import FLOOR_ERROR, Yardstick, near_floor
 from nfpde.gap.rounds import Rounds
+from nfpde.gap.score import HeldScore
 from nfpde.gap.trial import (
     APART,
     LEAST_GAIN,
@@ -55,6 +56,8 @@ class Selection(Rounds):
     ranking: candidates of the first round
     asked: whether candidates were last refitted beside what is accepted, and none was worth it
     by_noise: what noise alone gives to candidates, by what they are beside
+    scores: slopes of the held-out windows, by the model at which they are
+    last: whether no longer windows follow
     """
 
     yardstick: Yardstick
@@ -62,6 +65,8 @@ class Selection(Rounds):
     ranking: list[Trial] = field(default_factory=list)
     asked: bool = False
     by_noise: dict[Trial, NoiseAlone] = field(default_factory=dict)
+    scores: dict[Trial, HeldScore] = field(default_factory=dict)
+    last: bool = True
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
@@ -77,14 +82,15 @@ class Selection(Rounds):
             The final trial and the accepted effects in the order of their acceptance. Without any, it is the base, or
             a better place of the parameters that was found on the way, from which to select anew.
         """
-        current, accepted = base, list[Accepted]()
+        current, accepted, carried = base, list[Accepted](), list[Accepted]()
         first_gap = self.gap_of(base)
         if earlier is not None and earlier[1]:
             current, accepted = self._carried(base, *earlier, first_gap)
+            carried = list(accepted)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
-            if len(accepted) == MOST_EFFECTS or (self.at_floor(current) if accepted else self.in_noise(current)):
+            if len(accepted) == MOST_EFFECTS or self._nothing_left(current, accepted):
                 break
-            known = self.asked and earlier is not None and accepted and not further
+            known = self.asked and earlier is not None and accepted and not further and not self.last
             if known and self.gap_of(current) <= (1 - CLOSED) * first_gap:
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
@@ -109,8 +115,17 @@ class Selection(Rounds):
             if len(accepted) > 1:
                 current, accepted = self._second_look(current, accepted, first_gap)
         if len(accepted) > 1:
-            current, accepted = self._pruned(current, accepted, first_gap)
+            current, accepted = self._pruned(current, accepted, first_gap, carried)
         return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
+
+    def _nothing_left(self, current: Trial, accepted: Sequence[Accepted]) -> bool:
+        """Whether what is left is not worth a search.
+
+        Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too.
+        """
+        if self.sigma is not None and self.last:
+            return False
+        return self.at_floor(current) if accepted else self.in_noise(current)
 
     def _asks_for_twins(self, found: Trial) -> bool:
         """Whether another effect may do what the found one does, and better, though screening ranked it low.
@@ -133,13 +148,25 @@ class Selection(Rounds):
                 break
         return trials, found
 
-    def _pruned(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
-        """Without effects that the others have made superfluous."""
+    def _pruned(
+        self, current: Trial, accepted: list[Accepted], first_gap: float, carried: Sequence[Accepted] = ()
+    ) -> tuple[Trial, list[Accepted]]:
+        """Without effects that the others have made superfluous.
+
+        Args:
+            current: With all of them.
+            accepted: In the order of the effects in it.
+            first_gap: Of the parameters alone.
+            carried: Effects that shorter windows asked for: they stay if these are foretold worse without.
+        """
         for index in reversed(range(len(accepted))):
             if len(accepted) == 1:
                 break
             smaller = self.without(current, index)
-            if not self.shrinks(current, smaller, first_gap):
+            stays = self.shrinks(current, smaller, first_gap)
+            if not stays and accepted[index] in carried:
+                stays = self.gap_of(current) < self.gap_of(smaller) and self.court.gain(current, smaller)[0] > 0
+            if not stays:
                 current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
         return current, accepted
 
@@ -315,9 +342,17 @@ class Selection(Rounds):
         What acts seldom gains in too few blocks to tell; where it leaves no more than noise would, their sum counts.
         """
         gain, _, p = self.court.gain(trial, current)
+        p = min(1.0, 2.0 * (p if 2.0 * p <= level else min(p, self.slope(trial, current))))  # of two tests
         if p > level and likelihood_test(trial.foretold - current.foretold, self.court.block) <= level:
             p = 0.0 if self._closes(trial, current) else p
         return gain if p <= level else 0.0
+
+    def slope(self, trial: Trial, current: Trial) -> float:
+        """The p-value of the held-out windows' slope towards a trial, from the place of the model without it."""
+        if current not in self.scores:
+            self.scores[current] = HeldScore(self.court, current)
+            self.count(current.fit.replay)
+        return self.scores[current].p_value(trial)
 
     def given_by_noise(self, trial: Trial, current: Trial, sigma: Array, gain: float) -> bool:
         """Whether noise alone gives a trial as much: a gap near the floor may be noise that was believed too small."""

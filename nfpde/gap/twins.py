@@ -86,7 +86,7 @@ def find_twins(
         share = float(alike[order[0]])
         if share >= ALIKE:
             start = guesses[order][:, replay.columns(index)]
-            out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),)))
+            out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),), xi))
     return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]
 
 
