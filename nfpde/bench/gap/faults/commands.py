@@ -42,21 +42,32 @@ class DeadTime(Fault):
         self.memory = {"line": list(memory["line"])}
 
 
+TICKS = 16
+"""Turns of a drive's own loop in a physics step."""
+
+
 class Lag(Fault):
-    """The drive's set point follows the command like a low pass of first order."""
+    """The drive's set point follows the command like a low pass of first order.
+
+    Its loop is faster than the physics, which feels the mean: a set point taken at the end of a physics step would
+    belong to a time constant that is half a step shorter.
+    """
 
     def begin(self, plant: Plant, ctrl: Array) -> None:
         """Settled at the command that held before."""
         self.memory = {"held": ctrl.copy()}
 
     def command(self, plant: Plant, ctrl: Array) -> Array:
-        """The exact answer to a command constant over the physics step."""
-        held = self.memory["held"]
-        held = ctrl + (held - ctrl) * np.exp(-plant.model.opt.timestep / self.values["time_constant"])
+        """The mean over the physics step, by trapezoids, of a set point that follows a constant command."""
+        kept = np.exp(-plant.model.opt.timestep / TICKS / self.values["time_constant"])
+        held, area = self.memory["held"], np.zeros_like(ctrl)
+        for _ in range(TICKS):
+            before, held = held, ctrl + (held - ctrl) * kept
+            area += 0.5 * (before + held)
         self.memory = {"held": held}
         which = _channels(plant, self.target)
         out = ctrl.copy()
-        out[which] = held[which]
+        out[which] = area[which] / TICKS
         return out
 
 
