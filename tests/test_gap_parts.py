@@ -307,13 +307,13 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     """What may be an error of the floor, half of it, is left alone beside contacts; in smooth motion it is not."""
     noise = np.random.default_rng(11).normal(size=(40, 2, 4))
     noise /= np.sqrt((noise**2).mean())
-    monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: 0.5 * noise[None])
+    monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: 0.5 * noise[None])
     left, yardstick = trial(None, np.zeros(40), size * noise), Yardstick(np.ones((2, 4)), noise[None], 0.0)
     for sigma in (np.ones(4), None):
         court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
         selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
         assert selection.at_floor(left) is (sigma is not None and at_floor)
-    monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: 2.0 * noise[None])
+    monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: 2.0 * noise[None])
     assert ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4)).at_floor(left)
 
 
@@ -342,7 +342,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     rng = np.random.default_rng(12)
     noise = rng.normal(size=(40, 2, 4))
     noise /= np.sqrt((noise**2).mean())
-    monkeypatch.setattr("nfpde.gap.select.noise_of", lambda *a: noise[None])
+    monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: noise[None])
     one, other = (
         effect(n, "elbow", **q)
         for n, q in (("coulomb_friction", {"torque": (0, 1)}), ("armature", {"inertia": (0, 1)}))

@@ -30,7 +30,14 @@ def trial(effect, density, residuals):
     return Trial(effect, fit, density, residuals, density)
 
 
-def selection(noise, kind=Selection, **more):
+class ByGain(Selection):
+    """A selection that has no windows whose slopes it could ask."""
+
+    def slope(self, trial, current):
+        return 1.0
+
+
+def selection(noise, kind=ByGain, **more):
     """A selection whose windows show nothing but this noise (N, nv, C) where a model is right."""
     court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0))
     yardstick = Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0)
@@ -73,7 +80,7 @@ def test_what_acts_in_few_blocks_is_named_where_it_closes_the_gap(blocks, left, 
     assert (found is not None) is named
 
 
-class Touching(Selection):
+class Touching(ByGain):
     """A selection where contacts are: no model makes more of noise than another."""
 
     def floor(self, trial):

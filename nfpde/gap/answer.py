@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects import LINEAR, Effect, slides
 from nfpde.elements import element_names
+from nfpde.gap.acceptance import CLOSED
 from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
@@ -22,7 +23,7 @@ from nfpde.gap.loud import noise_residuals
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import Recordings, blocks_of, joined
 from nfpde.gap.report import Cause, Distance, Fitted, GapReport, Level, Rival, Trace, Verdict
-from nfpde.gap.select import CLOSED, Selection
+from nfpde.gap.select import Selection
 from nfpde.gap.separate import separating_experiment
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial

@@ -30,6 +30,9 @@ CONTACT_LOOKS, CLOSER_LOOKS, CLOSER = 128, 32, (1 / 16, 1 / 256)
 """The same in all for what contacts do: a floor only a little higher or lower than it is explains nothing. Shares of
 the bounds that are looked at then."""
 
+STEPS = (0.3, 0.1)
+"""Shares of the way from no effect to where a part of the windows would have it, looked at on all windows."""
+
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
@@ -120,10 +123,23 @@ class Refitting:
         return self._some.improve(fit, 2, kept=len(base.xi))
 
     def _whole(self, screened: Screened, fit: Fit) -> Fit:
-        """The same place on all windows."""
-        fit = self._court.fitter.start(screened.replay, fit.xi[None], self._base.scatter)
+        """The same place on all windows, or one on the way to it: the worst windows may have led too far."""
+        guesses = towards(self._base.xi, fit)
+        fit = self._court.fitter.start(screened.replay, guesses, self._base.scatter)
         fit.slopes[: len(self._base.xi)] = self._base.slopes
         return self._court.fitter.rescale(fit, self._court.scatter(fit))
+
+
+def towards(base: Array, fit: Fit) -> Array:
+    """A fit's place with its last effect, and `STEPS` of the way there from a base (D,) without it, (G, D + P)."""
+    effect, k = fit.replay.effects[-1], len(base)
+    start = np.concatenate([base, fit.xi[k:]])
+    for i, (quantity, bounds) in enumerate(zip(effect.quantities, effect.parameters, strict=True)):
+        if not quantity.shape_only:
+            if not bounds.low <= quantity.neutral <= bounds.high:  # no place is half way from no limit
+                return fit.xi[None]
+            start[k + i] = quantity.neutral
+    return start + np.outer((1.0, *STEPS), fit.xi - start)
 
 
 def _looks(effect: Effect) -> tuple[int, int, tuple[float, ...]]:

@@ -1,4 +1,4 @@
-"""Forward selection of effects, with a second look at the earlier ones, and who cannot be told from whom."""
+"""Forward selection of effects, with a second look at the earlier ones."""
 
 from __future__ import annotations
 
@@ -8,65 +8,31 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.accepted import Accepted, key, parameter_count
-from nfpde.gap.bootstrap import NoiseAlone
+from nfpde.gap.acceptance import CLOSED, WORTH, Acceptance, Chosen
+from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.fit import Fit
-from nfpde.gap.levels import FLOOR_ERROR, Yardstick, near_floor
-from nfpde.gap.rounds import Rounds
-from nfpde.gap.score import HeldScore
-from nfpde.gap.trial import (
-    APART,
-    LEAST_GAIN,
-    LEVEL,
-    Trial,
-    block_test,
-    likelihood_test,
-    noise_of,
-)
+from nfpde.gap.levels import FLOOR_ERROR
+from nfpde.gap.trial import APART, LEAST_GAIN, Trial, block_test
 
 Array = NDArray[np.float64]
-Chosen = tuple[Trial, Accepted]
 
 MOST_EFFECTS = 3
 """Effects accepted at most."""
 
-WORTH = 0.02
-"""Share of the gap that an effect must remove to be named: less is of no use."""
-
-CLOSED = 0.9
-"""Share of the gap beyond noise that must be explained for the verdict "effects"; with more left than that, something
-else is at work."""
-
 TWIN_TURNS = 3
 """Turns in which effects are looked for that do what the accepted one does, as long as each accepts another."""
 
-NOISE_SEED = 0
-"""Of the draws of noise in which a gap may disappear."""
-
-NEGLIGIBLE = 0.005
-"""Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
-
 
 @dataclass(eq=False, kw_only=True)
-class Selection(Rounds):
+class Selection(Acceptance):
     """Adds effects to a base fit as long as recordings that no fit saw ask for them.
 
-    yardstick: measures the gap
-    sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
     ranking: candidates of the first round
     asked: whether candidates were last refitted beside what is accepted, and none was worth it
-    by_noise: what noise alone gives to candidates, by what they are beside
-    scores: slopes of the held-out windows, by the model at which they are
-    last: whether no longer windows follow
     """
 
-    yardstick: Yardstick
-    sigma: Array | None = None
     ranking: list[Trial] = field(default_factory=list)
     asked: bool = False
-    by_noise: dict[Trial, NoiseAlone] = field(default_factory=dict)
-    scores: dict[Trial, HeldScore] = field(default_factory=dict)
-    last: bool = True
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
@@ -170,17 +136,6 @@ class Selection(Rounds):
                 current, accepted = smaller, [a for i, a in enumerate(accepted) if i != index]
         return current, accepted
 
-    def shrinks(self, trial: Trial, current: Trial, first_gap: float) -> bool:
-        """Whether a trial shrinks the gap enough for a name, or that of most windows: a few may be another's work.
-
-        What most windows gain must outweigh, as a factor, what those few lose.
-        """
-        gap, left = self.gap_of(current), self.gap_of(trial)
-        if gap - left >= min(WORTH * first_gap, max(WORTH * gap, FLOOR_ERROR)):
-            return True
-        usual, usual_left = self._usual_gap(current), self._usual_gap(trial)
-        return usual - usual_left >= max(WORTH * usual, FLOOR_ERROR) and left * usual_left < gap * usual
-
     def _carried(
         self, base: Trial, trial: Trial, accepted: list[Accepted], first_gap: float
     ) -> tuple[Trial, list[Accepted]]:
@@ -250,38 +205,6 @@ class Selection(Rounds):
         self.count(fit.replay)
         return self.court.judge(None, fit)
 
-    def at_floor(self, trial: Trial) -> bool:
-        """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
-        if self.sigma is None:
-            return self._gap(trial) < self.floor(trial) + FLOOR_ERROR
-        return self.gap_of(trial) < near_floor(self.floor(trial))
-
-    def in_noise(self, base: Trial) -> bool:
-        """Whether noise beside contacts leaves as much as there is; in smooth motion a test finds what is below it."""
-        return self.sigma is not None and self.gap_of(base) < self.floor(base) + FLOOR_ERROR
-
-    def floor(self, trial: Trial) -> float:
-        """The gap that noise alone leaves."""
-        floor = float(self.yardstick.floor.mean())
-        if self.sigma is None:
-            return floor
-        # a model that touches nothing knows nothing of what contacts make of noise
-        held = self.court.held
-        noise = held.quieten(noise_of(trial.fit, self.sigma, held, NOISE_SEED))
-        return max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
-
-    def _gap(self, trial: Trial) -> float:
-        return float(self.yardstick.gap(trial.held).mean())
-
-    def gap_of(self, trial: Trial) -> float:
-        """The gap over both halves: an effect may act so seldom that one half shows nothing of it."""
-        return float(np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)]).mean())
-
-    def _usual_gap(self, trial: Trial) -> float:
-        """The geometric mean over the windows of both halves, in which a few large ones count little."""
-        gaps = np.concatenate([self.yardstick.gap(r) for r in (trial.held, trial.fit.residuals)])
-        return float(np.exp(np.log(np.maximum(gaps, 1e-300)).mean()))
-
     def _converged(self, fit: Fit) -> Trial:
         """A fit brought to its end, so that the next effect does not make up for what is left of the way."""
         fit = self.court.converged(fit)
@@ -298,94 +221,6 @@ class Selection(Rounds):
         settled = self.court.settle(fit)
         self.count(smaller)
         return self.court.judge(None, settled)
-
-    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
-        """The candidate that the held-out recordings ask for, if they ask for one."""
-        gap = self.gap_of(current)
-        # what fits the noise better and leaves the gap explains nothing
-        worthy = [t for t in trials if self.shrinks(t, current, first_gap)]
-        # each is tested at its share of the level: any that passes has been asked for
-        gains = {t: g for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0}
-        doubted = self.sigma if gains and gap * (1 - CLOSED) < self.floor(current) else None
-
-        def stands(trial: Trial) -> bool:
-            if doubted is None:
-                return True
-            return not self.given_by_noise(trial, current, doubted, gains[trial] * (1 - CLOSED))
-
-        best = next(filter(stands, gains), None)
-        if best is None:
-            return None
-        gain = gains[best]
-        block, likelier = self.court.block, []
-        if self.sigma is not None:  # what is likelier still may be worth more over longer windows
-            likelier = [t for t in trials if t not in worthy and t.density.mean() > best.density.mean()]
-        near, equal = [], []
-        for trial in (beside := [*likelier, *worthy]):
-            behind, error, apart = block_test(best.density - trial.density, block)
-            if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
-                near.append(trial)
-            if self._equal(gap, best, trial, apart > APART or trial in near):
-                equal.append(trial)
-        # within the standard error of the best, the one with fewest parameters
-        simplest = sorted((t for t in near if t in gains), key=lambda t: (parameter_count(t), -t.density.mean()))
-        chosen = next(t for t in simplest if t is best or stands(t))
-        if chosen.effect is None:
-            return None
-        close = [t for t in beside if self._leaves_nearly(gap, best, t)]
-        rivals, others = (tuple(t for t in some if t is not chosen) for some in (equal, close))
-        return chosen, Accepted(chosen.effect, chosen, rivals, others, tuple(beside))
-
-    def _gain(self, trial: Trial, current: Trial, level: float) -> float:
-        """Held-out log density gained per window, where it is sure; else nothing.
-
-        What acts seldom gains in too few blocks to tell; where it leaves no more than noise would, their sum counts.
-        """
-        gain, _, p = self.court.gain(trial, current)
-        p = min(1.0, 2.0 * (p if 2.0 * p <= level else min(p, self.slope(trial, current))))  # of two tests
-        if p > level and likelihood_test(trial.foretold - current.foretold, self.court.block) <= level:
-            p = 0.0 if self._closes(trial, current) else p
-        return gain if p <= level else 0.0
-
-    def slope(self, trial: Trial, current: Trial) -> float:
-        """The p-value of the held-out windows' slope towards a trial, from the place of the model without it."""
-        if current not in self.scores:
-            self.scores[current] = HeldScore(self.court, current)
-            self.count(current.fit.replay)
-        return self.scores[current].p_value(trial)
-
-    def given_by_noise(self, trial: Trial, current: Trial, sigma: Array, gain: float) -> bool:
-        """Whether noise alone gives a trial as much: a gap near the floor may be noise that was believed too small."""
-        if current not in self.by_noise:
-            self.by_noise[current] = NoiseAlone(self.court, current, sigma)
-        given = self.by_noise[current].gives(trial, gain)
-        self.count(trial.fit.replay, current.fit.replay)
-        return given
-
-    def _closes(self, trial: Trial, current: Trial) -> bool:
-        """Whether a trial leaves no more than noise would of a gap that is far beyond it."""
-        if not self.at_floor(trial):
-            return False
-        floor = float(self.yardstick.floor.mean())
-        left = max(self.gap_of(trial) - floor, FLOOR_ERROR)
-        return self.gap_of(current) - floor >= left / (1 - CLOSED)
-
-    def _equal(self, gap: float, best: Trial, trial: Trial, untold: bool) -> bool:
-        """Whether a trial explains the same as the best, of a gap, where densities do not tell them apart, or do.
-
-        Beside contacts a few jumps decide about densities: who leaves as little as the best is its equal whatever they
-        say, and who leaves much more is not.
-        """
-        if self.sigma is None:
-            return untold
-        left = self.gap_of(best)
-        more = self.gap_of(trial) - left
-        return more <= FLOOR_ERROR * max(left, 1.0) or (untold and self._leaves_nearly(gap, best, trial))
-
-    def _leaves_nearly(self, gap: float, best: Trial, trial: Trial) -> bool:
-        """Whether a trial leaves nearly as little of a gap as the best."""
-        left = self.gap_of(best)
-        return self.gap_of(trial) - left <= (1 - CLOSED) * (gap - left)
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
