@@ -11,24 +11,11 @@ from nfpde.gap.fit import Fitter
 from nfpde.gap.jackknife import moves_without
 from nfpde.gap.noise import Scatter, learn_scatter
 from nfpde.gap.recordings import cut_recordings
-from nfpde.gap.replay import Replay
 from nfpde.gap.trial import Court
+from tests.gap_straight import Straight
 
 WINDOWS, FIRST, CHANNELS = 70, 1, 10
 ANYTHING: Any = None
-
-
-class Straight(Replay):
-    """Residuals A xi - b of one degree of freedom, whose bounds are far away."""
-
-    effects = ()
-
-    def __init__(self, matrix, target):
-        self.matrix, self.target = matrix, target
-        self.low, self.high = np.full(matrix.shape[-1], -50.0), np.full(matrix.shape[-1], 50.0)
-
-    def residuals(self, xi, windows, horizons, force=None):
-        return (np.einsum("ncd,md->mnc", self.matrix, xi) - self.target)[:, :, None]
 
 
 def estimate(seed, draw):

@@ -18,10 +18,10 @@ from nfpde.gap.noise import Scatter, floor_of, learn_scatter
 from nfpde.gap.recordings import alike_halves, cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import screen
-from nfpde.gap.select import Selection
 from nfpde.gap.trial import Court, Trial, block_test
 from nfpde.gap.where import needed_forces
 from nfpde.parameters import Parameter, ParameterSpace
+from tests.gap_straight import ByGain
 from tests.gap_systems import nominal, record
 
 ANYTHING: Any = None
@@ -255,13 +255,6 @@ def test_a_diverged_window_is_bad_but_finite():
     density = scatter.log_density(lost)
     assert np.isfinite(density).all()
     assert density[1] < density[0] - 1
-
-
-class ByGain(Selection):
-    """A selection that has no windows whose slopes it could ask."""
-
-    def slope(self, trial, current):
-        return 1.0
 
 
 def trial(effect, density, residuals):

@@ -12,6 +12,7 @@ from nfpde.gap.noise import learn_scatter
 from nfpde.gap.refit import STEPS, Refitting, towards
 from nfpde.gap.screen import Screened
 from nfpde.gap.trial import Court
+from tests.gap_straight import Change
 
 ANYTHING: Any = None
 
@@ -33,23 +34,6 @@ def test_there_is_no_way_from_no_limit():
     assert towards(np.zeros(0), fit_of(limit, [3.0])) == pytest.approx(np.array([[3.0]]))
 
 
-class Line:
-    """A replay whose residuals are `start` and `slope` times the value of its effect."""
-
-    def __init__(self, start, slope, effects):
-        self.start, self.slope, self.effects = start, slope, effects
-        self.nfree, self.low, self.high = 1, np.zeros(1), np.ones(1)
-
-    def inward(self, xi):
-        return xi
-
-    def outward(self, u):
-        return u
-
-    def residuals(self, xi, windows, horizons, force=None):
-        return self.start + xi[:, :1, None, None] * self.slope
-
-
 @pytest.mark.parametrize("size", [0.09, 0.27, 0.9])
 def test_a_part_of_the_windows_leads_too_far(size):
     """It said .9; of that, a third, and a tenth, what all windows like best is kept: slopes begin there."""
@@ -57,7 +41,7 @@ def test_a_part_of_the_windows_leads_too_far(size):
     slope = rng.normal(size=(60, 1, 2))
     noise = 0.01 * rng.normal(size=slope.shape)
     rub = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
-    replay: Any = Line(noise - size * slope, slope, [rub])
+    replay: Any = Change(noise - size * slope, slope, [rub])
     floor, fitter = 1e-6 * np.ones((1, 2)), Fitter(ANYTHING, (1, 2))
     scatter = learn_scatter(noise, 0, floor)
     court = Court(np.arange(60) // 5, fitter, fitter, floor, np.zeros(0))

@@ -8,26 +8,13 @@ import pytest
 from nfpde.estimation.trajectory.student import GAUSSIAN, Student
 from nfpde.gap.fit import Fitter
 from nfpde.gap.noise import Scatter
-from nfpde.gap.replay import Replay
 from nfpde.gap.score import HeldScore
 from nfpde.gap.trial import Court, Trial, block_test
+from tests.gap_straight import Straight
 
 WINDOWS, BLOCK, CHANNELS = 120, 5, 6
 BLOCKS = np.repeat(np.arange(WINDOWS // BLOCK), BLOCK)
 ANYTHING: Any = None
-
-
-class Straight(Replay):
-    """Residuals A xi - b of one degree of freedom, whose bounds are far away."""
-
-    effects = ()
-
-    def __init__(self, matrix, target):
-        self.matrix, self.target = matrix, target
-        self.low, self.high = np.full(matrix.shape[-1], -50.0), np.full(matrix.shape[-1], 50.0)
-
-    def residuals(self, xi, windows, horizons, force=None):
-        return (np.einsum("ncd,md->mnc", self.matrix, xi) - self.target)[:, :, None]
 
 
 def trials(matrix, change, target, xi, size):

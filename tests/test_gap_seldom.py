@@ -16,8 +16,8 @@ from nfpde.gap.noise import learn_scatter
 from nfpde.gap.report import Level
 from nfpde.gap.screen import screen
 from nfpde.gap.search import Found, Search
-from nfpde.gap.select import Selection
 from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
+from tests.gap_straight import ByGain, Change
 from tests.gap_systems import nominal, record
 
 ANYTHING: Any = None
@@ -28,13 +28,6 @@ def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
     fit: Any = SimpleNamespace(residuals=residuals)
     return Trial(effect, fit, density, residuals, density)
-
-
-class ByGain(Selection):
-    """A selection that has no windows whose slopes it could ask."""
-
-    def slope(self, trial, current):
-        return 1.0
 
 
 def selection(noise, kind=ByGain, **more):
@@ -116,23 +109,6 @@ def test_an_effect_is_worth_a_name_beside_a_rare_one_that_is_much_larger():
     found = chosen.accept(current, [better], chosen.gap_of(current))
     assert found is not None
     assert found[1].effect is common
-
-
-class Change:
-    """A replay of a base that leaves `start`, and of one effect that adds `change` times its value."""
-
-    def __init__(self, start, change):
-        self.start, self.change = start, change
-        self.nfree, self.low, self.high = 1, np.zeros(1), np.ones(1)
-
-    def inward(self, xi):
-        return xi
-
-    def outward(self, u):
-        return u
-
-    def residuals(self, xi, windows, horizons, force=None):
-        return self.start + xi[:, :1, None, None] * self.change
 
 
 def test_a_scatter_by_which_nothing_is_explained_does_not_rank():
