@@ -12,10 +12,11 @@ from nfpde.dataset import Dataset
 from nfpde.effects import effect
 from nfpde.errors import BadDataset
 from nfpde.gap.fit import PRIOR, Fit, Fitter
+from nfpde.gap.halves import alike_halves
 from nfpde.gap.levels import Yardstick, calm, rare, shrink_interval
 from nfpde.gap.loud import loudness
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter
-from nfpde.gap.recordings import alike_halves, cut_recordings
+from nfpde.gap.recordings import cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import screen
 from nfpde.gap.trial import Court, Trial, block_test
@@ -234,16 +235,39 @@ def test_halves_show_the_gap_alike():
     episode = np.concatenate([cut.fit.episode, cut.held.episode])
     gap = np.where(np.isin(episode, [1, 4]), 9.0, 1.0)
     for seed in range(8):
-        held = alike_halves(cut, gap, seed)
+        held = alike_halves(joined(cut.fit, cut.held), gap, seed)
         assert held is not None
-        assert len(held) == 3
-        assert np.isin([1, 4], held).sum() == 1
+        assert held.shared is None
+        assert len(held.episodes) == 3
+        assert np.isin([1, 4], held.episodes).sum() == 1
     few = cut_recordings(record(episodes=4, rows=45), 0, 0, 160)  # 4 x 11 windows: either half must hold 20
     for seed in range(8):
-        held = alike_halves(few, np.ones(len(few.fit) + len(few.held)), seed)
+        held = alike_halves(joined(few.fit, few.held), np.ones(len(few.fit) + len(few.held)), seed)
         assert held is None or len(cut_recordings(record(episodes=4, rows=45), 0, 0, 160, held=held).fit) >= 20
     three = cut_recordings(record(episodes=3, rows=300), 0, 0, 160)
-    assert alike_halves(three, np.ones(len(three.fit) + len(three.held)), 0) is None
+    assert alike_halves(joined(three.fit, three.held), np.ones(len(three.fit) + len(three.held)), 0) is None
+
+
+@pytest.mark.parametrize("episodes", [3, 4, 7])
+def test_an_episode_that_alone_shows_the_gap_is_shared(episodes):
+    """Three windows of one episode show all there is: whatever the seed, both halves have some of them, and no row."""
+    data = record(episodes=episodes, rows=400)
+    cut = cut_recordings(data, 0, 0, 160)
+    episode, row = (np.concatenate([getattr(cut.fit, n), getattr(cut.held, n)]) for n in ("episode", "row"))
+    loud = (episode == 1) & np.isin(row, np.sort(row[episode == 1])[[2, 5, 6]])
+    gap = np.where(loud, 1e4 * (1 + row), 1.0)
+    for seed in range(8):
+        held = alike_halves(joined(cut.fit, cut.held), gap, seed)
+        assert held is not None
+        again = cut_recordings(data, 0, 0, 160, held=held)
+        sides = [np.isin(row[loud], half.row[half.episode == 1]).sum() for half in (again.fit, again.held)]
+        assert sorted(sides) == [1, 2]
+        first, last = (half[np.flatnonzero(half.episode == 1)] for half in (again.fit, again.held))
+        assert first.row.max() + first.horizon < last.row.min()
+        assert not set(again.fit.episode) & set(again.held.episode) - {1}
+        assert [name for name in again.held_out if "row" in name] == [f"{data.names[1]} from row {held.row}"]
+        rows = again.rows.row[again.rows.episode == 1]
+        assert rows.min() >= held.row
 
 
 def test_a_diverged_window_is_bad_but_finite():

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset
+from nfpde.gap.halves import FEWEST, HeldOut, by_seed
 
 Array = NDArray[np.float64]
 
@@ -33,12 +34,6 @@ BLOCK = 5
 MOST_LEFT_OUT = 0.2
 """Share of the windows that may be left out at the beginnings of episodes."""
 
-LEAST_HALF = 0.3
-"""Share of the windows that either half has at least where halves are chosen to be alike."""
-
-FEWEST = 20
-"""Windows below which nothing is said."""
-
 
 @dataclass(frozen=True, eq=False)
 class Recordings:
@@ -46,7 +41,7 @@ class Recordings:
 
     horizons: control steps after which predictions are compared, ascending; the last is the window's length
     block: of every held-out window, its group for standard errors (held,)
-    held_out: names of the held-out episodes
+    held_out: names of the held-out episodes, see `HeldOut.names`
     rows: held-out single steps in a row, for the sensor noise
     """
 
@@ -70,7 +65,7 @@ def windows_for(nv: int) -> int:
 
 
 def cut_recordings(
-    dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0, held: NDArray[np.intp] | None = None
+    dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0, held: HeldOut | None = None
 ) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
@@ -81,21 +76,19 @@ def cut_recordings(
         windows: Most windows of each half.
         lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
             where enough others do.
-        held: Episodes to hold out; None: as the seed decides.
+        held: What to hold out; None: as the seed decides.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
     """
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
-    held_episodes = _held_out(lengths, steps, seed) if held is None else held
-    held_names = dataset.names if held_episodes is None else [dataset.names[i] for i in held_episodes]
-    middle = (int(lengths[0]) - 1) // 2
+    held = by_seed(lengths, steps, seed) if held is None else held
     # a row apart: the noise of one that ends a window and starts the next would be in both
     apart = dataset.windows(steps, stride=steps + 1, history=history, past=history)
-    first, second = _halves(apart, lead, held_episodes, middle)
+    first, second = _halves(apart, lead, held)
     if min(len(first), len(second)) < FEWEST:  # short recordings cannot spare the rows
-        first, second = _halves(dataset.windows(steps, history=history, past=history), lead, held_episodes, middle)
+        first, second = _halves(dataset.windows(steps, history=history, past=history), lead, held)
     for half, name in ((first, "fit"), (second, "hold out")):
         if len(half) < FEWEST:
             raise BadDataset(
@@ -105,19 +98,17 @@ def cut_recordings(
             )
     first, second = _spread(first, windows), _spread(second, windows)
     singles = dataset.windows(1, history=history, past=history)
-    inside = np.isin(singles.episode, np.unique(second.episode))
-    if held_episodes is None:
-        inside &= singles.row > middle
+    inside = np.isin(singles.episode, second.episode) & held.late(singles)
     rows = singles[np.flatnonzero(inside)[: 20 * windows]]
-    return Recordings(first, second, _horizons(steps), blocks_of(second), tuple(held_names), rows)
+    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows)
 
 
-def _halves(every: Windows, lead: int, held: NDArray[np.intp] | None, middle: int) -> tuple[Windows, Windows]:
-    """Windows to fit and held-out ones: of the held-out episodes, or those that end after a row of a single one."""
+def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Windows, Windows]:
+    """Windows to fit and held-out ones."""
     settled = np.flatnonzero(every.row >= lead)
     if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
         every = every[settled]
-    late = every.row + every.horizon > middle if held is None else np.isin(every.episode, held)
+    late = held.late(every)
     return every[np.flatnonzero(~late)], every[np.flatnonzero(late)]
 
 
@@ -127,42 +118,6 @@ def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
     steps = int(np.clip(min(by_time, by_data), LEAST_STEPS, MOST_STEPS))
     longest = int(lengths.max()) - 1
     return max(1, min(steps, longest // 2 if len(lengths) == 1 else longest))
-
-
-def _held_out(lengths: NDArray[np.intp], steps: int, seed: int) -> NDArray[np.intp] | None:
-    """Episodes held out: about half of the windows; None for a single usable episode."""
-    usable = np.flatnonzero(lengths > steps)
-    if len(usable) < 2:
-        return None
-    order = np.random.default_rng(seed).permutation(usable)
-    total = np.cumsum(lengths[order] // steps)
-    count = int(np.clip(np.searchsorted(total, total[-1] / 2) + 1, 1, len(order) - 1))
-    return np.sort(order[:count])
-
-
-def alike_halves(recordings: Recordings, gap: Array, seed: int) -> NDArray[np.intp] | None:
-    """Episodes to hold out so that both halves show as much of the gap; None where there are too few to choose.
-
-    An effect may show in few episodes only, and must be seen in both halves: in the one that finds it, and in the
-    other that confirms it. Episodes are paired by their gap, and the seed decides which of a pair is held out. Where
-    episodes are so unlike in length that a half would be left with few windows, nothing is chosen.
-
-    Args:
-        recordings: Cut before.
-        gap: Of every window, those to fit first (N,).
-        seed: Of the draw.
-    """
-    episode = np.concatenate([recordings.fit.episode, recordings.held.episode])
-    names = np.unique(episode)
-    if len(names) < 4:
-        return None
-    mean = np.array([gap[episode == e].mean() for e in names])
-    order = names[np.argsort(-mean, kind="stable")]
-    rng = np.random.default_rng(seed)
-    held = np.sort([pair[rng.integers(2)] for pair in order[: len(order) // 2 * 2].reshape(-1, 2)])
-    count = int(np.isin(episode, held).sum())
-    fewest = max(FEWEST, LEAST_HALF * len(episode))
-    return held if min(count, len(episode) - count) >= fewest else None
 
 
 def _horizons(steps: int) -> tuple[int, ...]:

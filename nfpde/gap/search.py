@@ -14,7 +14,8 @@ from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
 from nfpde.gap.brief import brief
 from nfpde.gap.fit import Fit
-from nfpde.gap.recordings import Recordings, alike_halves, cut_recordings
+from nfpde.gap.halves import HeldOut, alike_halves
+from nfpde.gap.recordings import Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
@@ -80,12 +81,12 @@ class Search:
         """Whether the model can touch anything."""
         return any(e.whole == "contact" for e, _ in self.candidates)
 
-    def cut(self, lead: int | None = None, held: NDArray[np.intp] | None = None) -> Recordings:
+    def cut(self, lead: int | None = None, held: HeldOut | None = None) -> Recordings:
         """The recordings in the longest windows.
 
         Args:
             lead: Rows at an episode's beginning in which none starts; None: as many as a single effect remembers.
-            held: Episodes to hold out; None: as the seed decides.
+            held: What to hold out; None: as the seed decides.
         """
         history, rows = _history(self.candidates, self.dataset.control_dt)
         return cut_recordings(self.dataset, history, self.seed, self.windows, rows if lead is None else lead, held)
@@ -114,7 +115,7 @@ class Search:
         if early is None and begins_worse(base, court, self._lengths(every)[0], rows):
             recordings, lead, lengths = every, 0, self._lengths(every)
             base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
-        held = alike_halves(lengths[0], gaps(base, court), self.seed)
+        held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed)
         if held is not None:
             recordings = self.cut(lead, held)
             lengths = self._lengths(recordings)

@@ -61,15 +61,11 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thri
     r = r[np.isfinite(r).all(1)] / floor
     n, channels = r.shape
     left = max(n - fitted / channels, 0.1 * n)
-    best: tuple[float, Student] | None = None
-    for degrees in DEGREES:
-        whitener, score = _scatter(r, float(degrees), n / left, full=n >= 5 * channels)
-        score -= tails_cost(float(degrees), n) / n if thrifty else 0.0
-        if best is None or score > best[0]:
-            best = score, Student(whitener / floor[:, None], float(degrees))
-    if best is None:
-        raise RuntimeError("no degrees of freedom were tried")
-    return best[1]
+    whiteners, scores = _scatters(r, DEGREES, n / left, full=n >= 5 * channels)
+    if thrifty:
+        scores = scores - np.array([tails_cost(float(degrees), n) for degrees in DEGREES]) / n
+    best = int(np.argmax(scores))
+    return Student(whiteners[best] / floor[:, None], float(DEGREES[best]))
 
 
 def tails_cost(degrees: float, n: int) -> float:
@@ -77,20 +73,23 @@ def tails_cost(degrees: float, n: int) -> float:
     return 0.5 * np.log(n) if degrees < GAUSSIAN else 0.0
 
 
-def _scatter(r: Array, degrees: float, inflation: float, *, full: bool) -> tuple[Array, float]:
-    """Whitening matrix of r (n, C) by EM at given degrees of freedom, and the mean log density [nats]."""
+def _scatters(r: Array, degrees: Array, inflation: float, *, full: bool) -> tuple[Array, Array]:
+    """Whitening matrices (K, C, C) of r (n, C) by EM at degrees of freedom (K,), and mean log densities (K,) [nats]."""
     n, channels = r.shape
-    weights = np.ones(n)
-    whitener, squares = np.eye(channels), np.zeros(n)
+    weights, squares = np.ones((len(degrees), n)), np.zeros((len(degrees), n))
+    whiteners = np.tile(np.eye(channels), (len(degrees), 1, 1))
+    going = np.arange(len(degrees))
     for _ in range(30):
-        scatter = inflation * (r.T * weights) @ r / n
-        values, vectors = np.linalg.eigh(scatter if full else np.diag(np.diag(scatter)))
-        whitener = vectors / np.sqrt(np.maximum(values, 1.0))
-        squares = ((r @ whitener) ** 2).sum(1)
-        updated = (degrees + channels) / (degrees + squares)
-        if np.abs(updated - weights).max() < 1e-3:
+        scatter = inflation * (r.T * weights[going, None]) @ r / n
+        values, vectors = np.linalg.eigh(scatter if full else scatter * np.eye(channels))
+        whiteners[going] = vectors / np.sqrt(np.maximum(values, 1.0))[:, None]
+        squares[going] = ((r @ whiteners[going]) ** 2).sum(-1)
+        updated = (degrees[going, None] + channels) / (degrees[going, None] + squares[going])
+        moving = np.abs(updated - weights[going]).max(1) >= 1e-3
+        going = going[moving]
+        if not len(going):
             break
-        weights = updated
+        weights[going] = updated[moving]
     constant = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
-    density = constant + np.linalg.slogdet(whitener)[1] - 0.5 * (degrees + channels) * np.log1p(squares / degrees)
-    return whitener, float(density.mean())
+    tails = 0.5 * (degrees[:, None] + channels) * np.log1p(squares / degrees[:, None])
+    return whiteners, constant + np.linalg.slogdet(whiteners)[1] - tails.mean(1)
