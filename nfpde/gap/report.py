@@ -188,7 +188,7 @@ class GapReport:
         base: Fitted base parameters, by name, with all accepted effects in place.
         ladder: Labels and values from the nominal model to the noise floor.
         summary: Plain words.
-        held_out_episodes: Names of the episodes that no fit saw; of one that was cut in time, with the row from which on.
+        held_out_episodes: Names of the episodes that no fit saw; of one cut in time, with the row from which on.
         sensor_noise: Standard deviation of the noise found on each channel, by channel.
         encoder_error: By how much joints that rest at one reading read too high, by joint [rad or m]; it was taken out
             of the recordings first.
