@@ -210,6 +210,18 @@ def test_any_pairs_in_any_order(sim):
     np.testing.assert_allclose(rows, sim.predict(xi, windows)[vector, window], atol=1e-6)
 
 
+def test_no_world_reads_what_was_not_sent(sim):
+    """Fewer rows than worlds: what the buffers held beyond them, here NaN, reaches no answer."""
+    windows, xi = make_windows(sim.model, 5, 3), vectors(sim, 4)
+    vector, window = np.arange(11) % 4, np.arange(11) % 5
+    before = sim.rollout(xi, windows, vector, window)
+    batch = next(reversed(sim._batches.values()))
+    assert batch.sizes.nworld > len(vector)
+    batch.poison()
+    np.testing.assert_array_equal(sim.rollout(xi, windows, vector, window), before)
+    assert np.isnan(batch._state.numpy()[5:]).all()
+
+
 def test_a_call_leaves_no_trace(sim):
     """The same losses whatever was simulated before: other parameters, other windows, a world that diverged."""
     windows, xi = make_windows(sim.model, 4, 2), vectors(sim, 3)

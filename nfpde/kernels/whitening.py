@@ -92,18 +92,18 @@ def _sum_costs(
     white_out: wp.array2d[wp.float64],
     cost_out: wp.array[wp.float64],
 ):
-    """Take from each row what the innovation before it tells, and add up a vector's Student t costs.
+    """Take from each row what the innovation before it tells, and add up a recording's Student t costs.
 
-    Vector k has the rows first[k] to first[k + 1] - 1, in recorded order. The first row of all may go on from
-    `before`, where the rows of its vector began in an earlier batch.
+    Recording k has the rows first[k] to first[k + 1] - 1, in recorded order, with the parameters of one vector. The
+    first row of all may go on from `before`, where its recording began in an earlier batch.
     """
-    vector = wp.tid()
+    chain = wp.tid()
     channels = white_out.shape[1]
     total = wp.float64(0.0)
-    for row in range(first_in[vector], first_in[vector + 1]):
+    for row in range(first_in[chain], first_in[chain + 1]):
         window = window_in[row]
         matrix = window % carry_in.shape[0]
-        earlier = row > first_in[vector]
+        earlier = row > first_in[chain]
         square = wp.float64(0.0)
         for i in range(channels):
             value = white_out[row, i]
@@ -121,4 +121,4 @@ def _sum_costs(
         if not (square < diverged_in):
             square = diverged_in
         total += (degrees_in + wp.float64(channels)) * _log_of_one_plus(square / degrees_in)
-    cost_out[vector] = total
+    cost_out[chain] = total

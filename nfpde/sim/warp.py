@@ -114,7 +114,7 @@ class WarpSimulator(Simulator):
         self._check_windows(windows)
         out = np.empty((len(vector), windows.horizon, self.states.nx))
         for part, _, batch in self._rows(xi, windows, vector, window, "states"):
-            out[part] = batch.predictions()[: part.stop - part.start]
+            out[part] = batch.predictions(part.stop - part.start)
         return out
 
     def residuals(
@@ -124,7 +124,7 @@ class WarpSimulator(Simulator):
         unit = self._check_unit(windows, scale)
         out = np.empty((len(vector), len(unit)))
         for part, _, batch in self._rows(xi, windows, vector, window, "residuals", unit):
-            out[part] = batch.residual.numpy()[: part.stop - part.start]
+            out[part] = batch.residuals(part.stop - part.start)
         return out
 
     def costs(

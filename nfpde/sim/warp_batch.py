@@ -147,8 +147,9 @@ class WarpBatch:
 
     def pair(self, vector: NDArray[np.intp], window: NDArray[np.intp]) -> None:
         """Give every world its own vector and window, (R,) each with R <= nworld = nrow."""
-        _fill(self._staged.world_row, vector.astype(np.int32))
-        _fill(self._world_window, window.astype(np.int32))
+        for array, own in ((self._staged.world_row, vector), (self._world_window, window)):
+            # worlds too many repeat the last pair
+            array.assign(np.pad(own.astype(np.int32), (0, self.sizes.nworld - len(own)), mode="edge"))
         wp.copy(self._row, self._staged.world_row)
 
     def run(self, scale: Array) -> int:
@@ -188,16 +189,22 @@ class WarpBatch:
 
     def all_predictions(self, nvector: int, nwindow: int) -> NDArray[np.float32]:
         """Predicted states of all pairs after `pair_all`, (nvector, nwindow, H, nx)."""
-        table = self.predictions().reshape(-1, self.sizes.nrow, *self._predicted.shape[1:])
-        return table[:nwindow, :nvector].swapaxes(0, 1)
+        nrow = self.sizes.nrow
+        table = self.predictions(nwindow * nrow).reshape(nwindow, nrow, *self._predicted.shape[1:])
+        return table[:, :nvector].swapaxes(0, 1)
 
-    def predictions(self) -> NDArray[np.float32]:
-        """Predicted states of all worlds, (nworld, H, nx)."""
-        return np.asarray(self._predicted.numpy(), np.float32)
+    def predictions(self, count: int) -> NDArray[np.float32]:
+        """Predicted states of the first worlds, (count, H, nx)."""
+        return np.asarray(_first(self._predicted, count), np.float32)
+
+    def residuals(self, count: int) -> Array:
+        """Residuals of the first worlds, (count, C)."""
+        return np.asarray(_first(self.residual, count), np.float64)
 
     def poison(self) -> None:
-        """Fill every result with NaN, so that one which is not written cannot pass for an answer."""
+        """Fill with NaN what a call sends and what it answers: what is not written cannot pass for an answer."""
         for array in (
+            *(self._staged_rows, self._staged.values, self._state, self._past, self._ctrl),
             self._predicted,
             self._loss,
             self.residual,
@@ -380,8 +387,14 @@ def arrays_of(thing: Any) -> list[wp.array]:
     return found
 
 
+def _first(array: wp.array, count: int) -> NDArray[Any]:
+    """The first rows of an array, without sending the rest."""
+    rows: Any = array[:count]
+    return np.asarray(rows.numpy())
+
+
 def _fill(array: wp.array, values: NDArray[Any]) -> None:
-    """Copy values into the first rows of an array; the rest repeats the last one."""
-    if len(values) < array.shape[0]:
-        values = np.concatenate([values, np.repeat(values[-1:], array.shape[0] - len(values), axis=0)])
-    array.assign(np.ascontiguousarray(values))
+    """Copy values into the first rows of an array; no world reads the rest."""
+    if values.size:
+        rows: Any = array[: len(values)]
+        rows.assign(np.ascontiguousarray(values))

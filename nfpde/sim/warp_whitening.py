@@ -40,17 +40,18 @@ class WarpWhitening:
             continues: whether the first rows are of the vector that the last call ended with.
         """
         rows, channels = len(vector), self.whitening.channels
-        m = int(vector[-1]) + 1
+        # every recording of a vector is a chain of its own, that no other waits for
+        starts = np.flatnonzero((np.diff(vector, prepend=-1) != 0) | ~self.whitening.linked[window])
         with wp.ScopedDevice(self.device):
             windows = wp.array(window.astype(np.int32), dtype=int)
-            first = wp.array(np.searchsorted(vector, np.arange(m + 1)).astype(np.int32), dtype=int)
-            cost = wp.zeros(m, dtype=wp.float64)
+            first = wp.array(np.append(starts, rows).astype(np.int32), dtype=int)
+            cost = wp.zeros(len(starts), dtype=wp.float64)
             wp.launch(
                 kernels._whiten_alone, dim=(rows, channels), inputs=[residual, self._own, windows], outputs=[white]
             )
             wp.launch(
                 kernels._sum_costs,
-                dim=m,
+                dim=len(starts),
                 inputs=[
                     *(self._carry, self._linked, windows, first, self._before),
                     *(int(continues), self.whitening.degrees, DIVERGED),
@@ -58,4 +59,6 @@ class WarpWhitening:
                 outputs=[white, cost],
             )
             wp.copy(self._before, white, src_offset=(rows - 1) * channels, count=channels)
-            return np.array(cost.numpy(), np.float64)
+            found = np.zeros(int(vector[-1]) + 1)
+            np.add.at(found, vector[starts], cost.numpy())
+            return found
