@@ -1,6 +1,7 @@
 """Models that collide with themselves where the robot did not, and what a verdict makes of an uncertain floor."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from nfpde.dataset import Dataset, Episode
 from nfpde.errors import BadDataset, SimulationDiverged
-from nfpde.gap import diagnose_gap
+from nfpde.gap import checks, diagnose_gap, mistakes
 from nfpde.gap.answer import _verdict
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.foresight import check_commands
@@ -334,6 +335,19 @@ def test_a_joint_that_rests_beside_its_zero_is_no_flipped_sign():
     recorded = slide(sled(0.002))
     assert min(e.qpos[:, 1].min() for e in recorded) > 0
     checked(sled(), recorded)
+
+
+def test_a_sled_that_hops_on_a_high_floor_has_its_own_zero():
+    """The shift that makes up for a floor that is higher is its height, whatever the sled's height is in the mean."""
+    hopping = SLED.replace('gear="5"/>', 'gear="5"/><motor name="hop" joint="up" gear="9.9"/>')
+    low, high = (mujoco.MjModel.from_xml_string(hopping.format(floor=height)) for height in (0.0, 0.005))
+    recorded = slide(high)
+    checked(low, recorded)
+    windows = cut_recordings(recorded, 0, 0, 60).fit
+    up = replace(windows, state=windows.state * [1, -1, 1, -1])
+    replay, none = Replay(low, None, []), np.zeros(0)
+    by_mean = checks._error(replay, none, mistakes.with_other_zeros(windows, up))
+    assert checks._error_of_zeros(replay, none, windows, up, 0.0) < 1e-6 * by_mean
 
 
 def test_a_sled_that_hops_upside_down_has_a_flipped_sign():

@@ -104,11 +104,17 @@ def in_degrees(windows: Windows, joints: Sequence[Joint]) -> list[tuple[str, Win
     return out
 
 
-def with_other_zeros(windows: Windows, changed: Windows) -> Windows:
-    """The windows with positions and commands shifted by what a change makes of them in the mean, and no more."""
-    shift = (changed.state - windows.state).mean((0, 1))
+def with_other_zeros(windows: Windows, changed: Windows, share: float = 1.0) -> Windows:
+    """The windows with positions and commands shifted, and no more.
+
+    Args:
+        windows: As recorded.
+        changed: The same after a change.
+        share: Of what the change makes of them in the mean.
+    """
+    shift = share * (changed.state - windows.state).mean((0, 1))
     shift[windows.nq :] = 0.0
-    push = (changed.ctrl - windows.ctrl).mean((0, 1))
+    push = share * (changed.ctrl - windows.ctrl).mean((0, 1))
     return replace(windows, state=windows.state + shift, ctrl=windows.ctrl + push, history=windows.history + push)
 
 
