@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -148,7 +150,9 @@ def _error_of_zeros(replay: Replay, xi: Array, windows: Windows, changed: Window
     near = min(errors, key=lambda share: errors[share])
     if CURED * errors[near] <= best:
         return errors[near]
-    closer = minimize_scalar(error, bounds=(near - step, near + step), method="bounded", options={"maxiter": _CLOSER})
+    closer: Any = minimize_scalar(
+        error, bounds=(near - step, near + step), method="bounded", options={"maxiter": _CLOSER}
+    )
     return min(errors[near], float(closer.fun))
 
 
