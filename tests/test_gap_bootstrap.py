@@ -1,5 +1,6 @@
 """What candidates gain by noise alone, and what that asks of them near the floor."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import Selection
 from nfpde.gap.stage import Stage, first_fit, in_noise
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.trial import LEAST_GAIN, Court, Trial
 from tests.test_gap_contacts import BLOCK, pushes
 
 ANYTHING: Any = None
@@ -58,11 +59,11 @@ def test_windows_without_noise_are_the_models_own():
         np.testing.assert_allclose(errors.std(0) / sigma, 1.0, atol=5 / np.sqrt(2 * len(errors)))
 
 
-def test_what_noise_alone_gives_is_next_to_nothing_in_smooth_motion():
-    """Damping of what is not damped acts, and is fitted to noise: that loses half a nat where no fit saw it.
+def test_noise_alone_gives_nothing_in_smooth_motion():
+    """Damping of what is not damped is fitted to noise, and gains too little to be looked at, from wherever it begins.
 
-    Of three draws the best gains three nats with a chance below one in fifty (half a chi squared of one). Without noise
-    nothing is gained, from wherever it begins, beyond the hundredth of a nat at which a fit stops.
+    Five nats come with a chance of one in six hundred (half a chi squared of one). Damping that is there gains more in
+    every draw of windows that a damped model has made, once it is taken from that model.
     """
     model = mujoco.MjModel.from_xml_string(MASS)
     rng, episodes = np.random.default_rng(3), []
@@ -74,18 +75,58 @@ def test_what_noise_alone_gives_is_next_to_nothing_in_smooth_motion():
             Episode(str(number), time, qpos + 1e-3 * errors[0], speed + 1e-2 * errors[1], np.zeros((200, 0)))
         )
     stage = stage_of(Dataset(episodes), model)
-    windows = len(stage.court.held.windows)
+    what = effect("viscous_damping", "along", damping=(0.0, 10.0))
     for begin in (0.1, 5.0):
-        damping = beside(stage, effect("viscous_damping", "along", damping=(0.0, 10.0)), begin)
-        noisy = NoiseAlone(stage.court, stage.base, stage.sigma)
-        gains = [noisy.gain(damping, draw) for draw in range(3)]
-        # noise that asks for less than no damping, as every second draw does, changes nothing
-        assert any(noisy.gain(damping, draw) != 0.0 for draw in range(8))
-        assert windows * max(gains) < 3.0
-        assert noisy.gives(damping, max(gains))
-        assert not noisy.gives(damping, 3.0 / windows)
-        quiet = NoiseAlone(stage.court, stage.base, np.zeros(2))
-        assert abs(windows * quiet.gain(damping, 0)) < 1e-2
+        damping = beside(stage, what, begin)
+        for sigma in (stage.sigma, np.zeros(2)):
+            noise = NoiseAlone(stage.court, stage.base, sigma)
+            assert [noise.gain(damping, draw) for draw in range(3)] == [0.0, 0.0, 0.0]
+            assert not noise.gives(damping, 1e-9)
+    there = NoiseAlone(stage.court, stage.base, stage.sigma)
+    there._draw(2)
+    damped = replace(damping.fit, xi=np.ones(1))
+    rng = np.random.default_rng(1)
+    for draw, (court, _) in enumerate(there._made):
+        halves = [replace(h, windows=made_by(damped, h.windows, stage.sigma, rng)) for h in (court.fitter, court.held)]
+        court = replace(court, fitter=halves[0], held=halves[1])
+        base = court.judge(
+            None, court.settle(court.fitter.start(stage.base.fit.replay, np.zeros((1, 0)), stage.base.fit.scatter))
+        )
+        there._made[draw] = court, base
+        assert there.gain(damping, draw) > LEAST_GAIN / len(court.held.windows)
+
+
+def test_a_pit_that_a_candidate_leads_out_of_is_not_its_gain(monkeypatch):
+    """A parameter has a pit at 0, and one at 1 that fits 20 nats better; 2 of them are the candidate's.
+
+    Without it nothing leads from one to the other. Where it is worth less than chance, it counts for nothing.
+    """
+    what = effect("coulomb_friction", "along", torque=(0.0, 1.0))
+
+    def made(trial: Trial, pit: float, worth: float) -> Trial:
+        with_effect = trial.effect is not None
+        gain = 20.0 * pit + (worth if with_effect else 0.0)
+        fit = replace_fit(trial.fit, [pit, 0.1] if with_effect else [pit], -gain)
+        return Trial(trial.effect, fit, np.full(8, gain), ANYTHING, ANYTHING)
+
+    def replace_fit(fit: Any, xi: list[float], cost: float) -> Any:
+        return SimpleNamespace(xi=np.array(xi), cost=cost, replay=fit.replay, scatter=ANYTHING)
+
+    court = Court(np.arange(8) // 2, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(1))
+    for worth, gain in ((6.0, 6.0), (4.0, 0.0)):
+
+        def refitted(court: Court, trial: Trial, guesses: np.ndarray, scatter: Any, worth: float = worth) -> Trial:
+            # the candidate finds its way from any place
+            return made(trial, 1.0 if trial.effect is not None else float(guesses[:, 0].max() > 0.5), worth)
+
+        monkeypatch.setattr("nfpde.gap.bootstrap._refitted", refitted)
+        bare: Any = SimpleNamespace(replay=SimpleNamespace(effects=[], columns=ANYTHING))
+        full: Any = SimpleNamespace(replay=SimpleNamespace(effects=[what], columns=lambda i: slice(1, 2)))
+        current = Trial(None, replace_fit(bare, [0.0], 0.0), np.zeros(8), ANYTHING, ANYTHING)
+        candidate = Trial(what, replace_fit(full, [0.0, 0.2], 0.0), np.zeros(8), ANYTHING, ANYTHING)
+        noise = NoiseAlone(court, current, np.zeros(2))
+        noise._made.append((court, made(current, 0.0, worth)))
+        assert noise.gain(candidate, 0) == gain
 
 
 class Touching(Selection):

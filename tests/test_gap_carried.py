@@ -18,6 +18,8 @@ from nfpde.gap.trial import Court, Trial
 
 ANYTHING: Any = None
 
+MEASURED = Yardstick(np.ones((1, 2)), np.zeros((1, 1, 1, 2)))
+
 
 class Numbered(Selection):
     """A selection of numbered effects, each of which removes so much of a gap of ten, whatever else is there."""
@@ -42,7 +44,7 @@ class Numbered(Selection):
 def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, monkeypatch):
     """What adds to the gap goes, down to the parameters alone; what hardly changes it stays."""
     monkeypatch.setattr(Numbered, "removes", removes)
-    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED)
     base: Any = SimpleNamespace(effects=[], linear=True)
     trial: Any = SimpleNamespace(effects=list(range(len(removes))), linear=True)
     accepted: Any = list(range(len(removes)))
@@ -55,7 +57,7 @@ def test_effects_that_make_the_longest_windows_worse_are_dropped(removes, kept, 
 def test_effects_that_others_have_made_superfluous_are_dropped(monkeypatch):
     """Of three effects the one that removes nothing any more goes, the others stay in their order."""
     monkeypatch.setattr(Numbered, "removes", (5.0, 0.0, 3.0))
-    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    selection = Numbered(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED)
     everything: Any = SimpleNamespace(effects=[0, 1, 2])
     accepted: Any = [0, 1, 2]
     current: Any
@@ -76,7 +78,7 @@ def test_what_shorter_windows_asked_for_stays_where_longer_ones_do_not_speak_aga
             return SimpleNamespace(effects=super().without(trial, index).effects, density=np.zeros(40))
 
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(0))
-    selection = Dense(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    selection = Dense(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     everything: Any = SimpleNamespace(effects=[0, 1], density=gained + 0.01 * np.random.default_rng(1).normal(size=40))
     accepted: Any = [0, 1]
     assert selection._pruned(everything, accepted, 10.0, accepted)[1] == ([0, 1] if stays else [0])
@@ -95,7 +97,7 @@ def test_an_effect_is_not_tried_beside_itself():
         Accepted(friction, trial(friction), (trial(damping),), (), ()),
         Accepted(damping, trial(damping), (), (), ()),
     ]
-    selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    selection = Selection(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED)
     current = trial(damping)
     assert selection._told_apart(current, accepted, 0, 1.0) == (current, accepted)
 
@@ -124,7 +126,7 @@ def test_what_left_nearly_as_little_on_shorter_windows_is_tried_again():
     first, near, rival, other = (Trial(e, ANYTHING, np.zeros(4), ANYTHING, np.zeros(4)) for e in all_four)
     asked = Accepted(all_four[0], first, (rival,), (near, rival, other), ())
     beside = Accepted(all_four[3], other, (), (), ())
-    selection = Again(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    selection = Again(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED)
     assert selection._told_apart(other, [asked, beside], 0, 1.0) == (other, [asked, beside])
     assert selection.refits == [all_four[0], all_four[1], all_four[2]]
 
@@ -162,7 +164,7 @@ def test_what_is_left_is_asked_about_once():
 
     On the last ones always; beside contacts, where the floor is known to a factor only, even below it.
     """
-    selection = Asking(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, last=False)
+    selection = Asking(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED, last=False)
     base: Any = SimpleNamespace(left=100.0)
 
     def run(left, **more):
@@ -229,7 +231,7 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     both: Any = Line(start, [one, size * other], ["effect"])
     fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
-    selection = Stuck(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    selection = Stuck(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start, np.zeros(50)), ANYTHING, 1.0)
     assert (found is not None) is idle
     assert selection.steps > 0
@@ -265,7 +267,7 @@ def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_f
     both: Any = Line(start, [one, other], ["effect"])
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
     sigmas = None if sigma is None else np.full(2, sigma)
-    selection = Deeper(ANYTHING, None, 1, court, [], yardstick=ANYTHING, sigma=sigmas)
+    selection = Deeper(ANYTHING, None, 1, court, [], yardstick=MEASURED, sigma=sigmas)
     smaller = Line(start, [one], [])
     selection.smaller, selection.accepts = smaller, accepts
     trial = Trial(ANYTHING, fitter.start(both, np.array([[0.3, 0.7]]), scatter), np.zeros(50), start, np.zeros(50))
@@ -301,7 +303,7 @@ def test_what_does_nothing_on_longer_windows_is_not_carried_there(size):
     replays: list[Any] = [alone, both]
     base, beside = (fitter.start(r, np.array([[0.3, 0.7][: r.nfree]]), scatter) for r in replays)
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
-    selection = Settled(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
+    selection = Settled(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     first, found = selection._converged(base), selection._converged(beside)
     accepted = [Accepted(ANYTHING, found, (), (), ())]
     carried, kept = selection._carried(first, found, accepted, 1.0)

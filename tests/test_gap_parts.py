@@ -350,6 +350,23 @@ def test_most_windows_must_gain_more_than_a_few_lose(few, named):
     assert selection.shrinks(found, current, 3.4) is named
 
 
+@pytest.mark.parametrize("contacts", [True, False])
+@pytest.mark.parametrize(("left", "named"), [(0.0, False), (0.9, False), (3.0, True)])
+def test_what_rounding_may_do_is_nobodys_work(left, named, contacts):
+    """Without noise a gap is counted in rounding: one of that size is next to nothing, one of its threefold may be."""
+    rounding, still = np.full((1, 2), 1e-9), np.zeros((1, 400, 1, 2))
+    yardstick = Yardstick.of(still, still[0], 0.0, rounding)
+    assert float(yardstick.floor.mean()) == pytest.approx(1.0)
+    # the mean of 800 squares of normal numbers errs by sqrt(2 / 800)
+    assert yardstick.rounding == pytest.approx(1.0, abs=5 * np.sqrt(2 / 800))
+    sigma = np.zeros(2) if contacts else None
+    selection = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=yardstick, sigma=sigma)
+    before, after = (trial(None, np.zeros(400), 1e-9 * np.sqrt(gap) + still[0]) for gap in (max(left, 0.9), 0.1))
+    assert selection.shrinks(after, before, 14.0) is named
+    noisy = Yardstick.of(still + 1.0, still[0], 0.0, rounding)
+    assert noisy.rounding < 1e-17
+
+
 @pytest.mark.parametrize(
     ("size", "behind", "contacts", "equal"),
     [(1.02, 3.0, True, True), (1.02, 3.0, False, False), (1.8, 1e-4, True, False), (1.8, 1e-4, False, True)],

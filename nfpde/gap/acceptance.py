@@ -91,10 +91,12 @@ class Acceptance(Rounds):
 
         What most windows gain must outweigh, as a factor, what those few lose. What is less than an error of the floor
         is looked at on the last windows beside contacts alone, where simulated noise says what it gives by itself.
+        What rounding may do is nobody's work.
         """
-        least = 0.0 if self.sigma is not None and self.last else FLOOR_ERROR
+        rounding = self.yardstick.rounding
+        least = rounding if self.sigma is not None and self.last else max(FLOOR_ERROR, rounding)
         gap, left = self.gap_of(current), self.gap_of(trial)
-        if gap - left >= min(WORTH * first_gap, max(WORTH * gap, least)):
+        if gap - left >= max(rounding, min(WORTH * first_gap, max(WORTH * gap, least))):
             return True
         usual, usual_left = self._usual_gap(current), self._usual_gap(trial)
         return usual - usual_left >= max(WORTH * usual, least) and left * usual_left < gap * usual

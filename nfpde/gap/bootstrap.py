@@ -9,6 +9,7 @@ bootstrap, 1993, chapter 6).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from nfpde.dataset import Windows
 from nfpde.gap.fit import Fit
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import started_beside
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.trial import LEAST_GAIN, Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -57,10 +58,21 @@ class NoiseAlone:
         return not all(self.gain(trial, draw) < enough for draw in range(DRAWS))
 
     def gain(self, trial: Trial, draw: int) -> float:
-        """Held-out log density per window [nats] that a candidate gains in a draw of the noise."""
+        """Held-out log density per window [nats] that a candidate gains in a draw of the noise.
+
+        Nothing, if it does not fit its own half so much better that it would have been looked at. The likelihood has
+        pits: the model without it goes on from where it leads, and it starts from where that one is, so that neither
+        is credited for what the other had not found.
+        """
         if (trial, draw) not in self._gains:
             court, base = self._draw(draw)
-            self._gains[trial, draw] = court.gain(_refitted(court, trial, base.fit.scatter), base)[0]
+            scatter = base.fit.scatter
+            found = _refitted(court, trial, _between(trial, (trial.fit.xi, base.fit.xi)), scatter)
+            led = found.fit.xi[None, : len(base.fit.xi)]
+            bases = [base, _refitted(court, base, led, scatter)] if led.size else [base]
+            best = min(bases, key=lambda t: t.fit.cost)
+            better = best.fit.cost - found.fit.cost >= LEAST_GAIN
+            self._gains[trial, draw] = court.gain(found, best)[0] if better else 0.0
         return self._gains[trial, draw]
 
     def _draw(self, draw: int) -> tuple[Court, Trial]:
@@ -72,28 +84,29 @@ class NoiseAlone:
                 for half in (court.fitter, court.held)
             )
             there = replace(court, fitter=fitter, held=held)
-            self._made.append((there, _refitted(there, current, current.fit.scatter)))
+            self._made.append((there, _refitted(there, current, current.fit.xi[None], current.fit.scatter)))
         return self._made[draw]
 
 
-def _refitted(court: Court, trial: Trial, scatter: Scatter) -> Trial:
-    """Fitted to a court's windows from where it was, or from between there and no effect."""
-    fit = court.fitter.start(trial.fit.replay, _between(trial), scatter)
+def _refitted(court: Court, trial: Trial, guesses: Array, scatter: Scatter) -> Trial:
+    """Fitted to a court's windows from the best of several guesses (G, D)."""
+    fit = court.fitter.start(trial.fit.replay, guesses, scatter)
     return court.judge(trial.effect, court.converged(fit))
 
 
-def _between(trial: Trial) -> Array:
-    """Free parameters with the last effect as it is, and with less and less of it, (G, D)."""
+def _between(trial: Trial, places: Sequence[Array]) -> Array:
+    """Free parameters of places with the last effect as it is, and with less and less of it, (G, D).
+
+    Args:
+        trial: With the effect last.
+        places: Whose parameters count beside it, with the effect or without; all of them from the first on.
+    """
     xi, replay = trial.fit.xi, trial.fit.replay
-    if trial.effect is None:
-        return xi[None]
-    neutral = np.array([q.neutral for q in trial.effect.quantities])
-    if not np.isfinite(neutral).all():  # no value is half of no limit
-        return xi[None]
-    guesses = np.tile(xi, (len(SHARES), 1))
     columns = replay.columns(len(replay.effects) - 1)
-    guesses[:, columns] = neutral + np.outer(SHARES, xi[columns] - neutral)
-    return guesses
+    neutral = np.array([q.neutral for q in trial.effect.quantities]) if trial.effect is not None else xi[columns]
+    # no value is half of no limit
+    sizes = neutral + np.outer(SHARES, xi[columns] - neutral) if np.isfinite(neutral).all() else xi[None, columns]
+    return np.array([[*place[: columns.start], *size] for place in places for size in sizes])
 
 
 def made_by(fit: Fit, windows: Windows, sigma: Array, rng: np.random.Generator) -> Windows:

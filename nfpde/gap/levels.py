@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,9 @@ _RARE = 10
 
 _DRAWS = 500
 
+_ROUNDING_SEED = 0
+"""Of the draws of rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
@@ -33,25 +36,36 @@ class Yardstick:
 
     scale: what counts as one, by channel (nv, C): the noise that sensors put on a prediction, and `KAPPA` of what the
         base model leaves, below which differences are of no interest
-    noise: residuals that noise alone gives (draws, N, nv, C)
+    noise: residuals that noise and rounding alone give (draws, N, nv, C)
     capped: share of the windows whose squares are capped, by channel. Where a contact opens or closes a residual
         jumps, and a few of those would outweigh everything else; in smooth motion nothing is capped, as what acts in
         few windows shows in nothing else
+    precision: what simulations of the same motion may differ by (nv, C), which is in the noise
     """
 
     scale: Array
     noise: Array
     capped: float = CAPPED
+    precision: Array | float = 0.0
 
     @classmethod
     def of(cls, noise: Array, base: Array, capped: float = CAPPED, precision: Array | float = 0.0) -> Yardstick:
         """From residuals that noise alone gives (draws, N, nv, C) and those of the base model (N, nv, C).
 
-        With `precision` (nv, C), differences of rounding are none of interest either, though nothing else is there.
+        With `precision` (nv, C), differences of rounding are none of interest either, though nothing else is there:
+        they are noise, too.
         """
-        every = noise.reshape(-1, *noise.shape[2:])
-        total = calm(every**2, capped).mean(0) + KAPPA**2 * calm(base**2, capped).mean(0) + np.square(precision)
-        return cls(np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300))), noise, capped)
+        rounded = noise + precision * np.random.default_rng(_ROUNDING_SEED).normal(size=noise.shape)
+        return cls(_scale(rounded, base, capped), rounded, capped, precision)
+
+    def beside(self, base: Array) -> Yardstick:
+        """The same noise beside what another base model leaves (N, nv, C)."""
+        return replace(self, scale=_scale(self.noise, base, self.capped))
+
+    @cached_property
+    def rounding(self) -> float:
+        """Gap that differences of rounding leave: one where there is neither noise nor much of a gap."""
+        return float(np.mean(np.square(self.precision / self.scale)))
 
     def squares(self, residuals: Array) -> Array:
         """Squared residuals in units of noise (N, nv, C)."""
@@ -65,6 +79,13 @@ class Yardstick:
     def floor(self) -> Array:
         """Squares that noise alone leaves, on average over its draws (N, nv, C)."""
         return np.mean([self.squares(draw) for draw in self.noise], axis=0)
+
+
+def _scale(noise: Array, base: Array, capped: float) -> Array:
+    """What counts as one (nv, C): noise (draws, N, nv, C), and `KAPPA` of what a base model leaves (N, nv, C)."""
+    every = noise.reshape(-1, *noise.shape[2:])
+    total = calm(every**2, capped).mean(0) + KAPPA**2 * calm(base**2, capped).mean(0)
+    return np.sqrt(np.maximum(total, 1e-12 * total.max(initial=1e-300)))
 
 
 def near_floor(floor: float) -> float:

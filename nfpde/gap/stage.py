@@ -51,8 +51,7 @@ class Stage:
 
     def at(self, base: Trial) -> Stage:
         """The same windows with another fit of the parameters alone, by which gaps are counted from now on."""
-        yardstick = Yardstick.of(self.yardstick.noise, base.held, self.court.capped, self.precision)
-        return replace(self, base=base, yardstick=yardstick)
+        return replace(self, base=base, yardstick=self.yardstick.beside(base.held))
 
     def shown(self, trial: Trial, *, refitted: bool) -> Trial:
         """A trial of windows of another length on these.
