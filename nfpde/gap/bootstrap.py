@@ -103,7 +103,7 @@ def _between(trial: Trial, places: Sequence[Array]) -> Array:
     """
     xi, replay = trial.fit.xi, trial.fit.replay
     columns = replay.columns(len(replay.effects) - 1)
-    neutral = np.array([q.neutral for q in trial.effect.quantities]) if trial.effect is not None else xi[columns]
+    neutral = np.array([q.neutral for q in replay.effects[-1].quantities])
     # no value is half of no limit
     sizes = neutral + np.outer(SHARES, xi[columns] - neutral) if np.isfinite(neutral).all() else xi[None, columns]
     return np.array([[*place[: columns.start], *size] for place in places for size in sizes])
