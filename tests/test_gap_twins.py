@@ -172,7 +172,7 @@ class Known(Selection):
 
 def known(leads, **more):
     court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
-    yardstick: Any = SimpleNamespace(floor=np.ones((40, 2, 4)))
+    yardstick: Any = SimpleNamespace(floor=np.ones((40, 2, 4)), rounding=0.0)
     selection = Known(ANYTHING, None, 1, court, [], yardstick=yardstick, **more)
     selection.leads = leads
     return selection
