@@ -329,8 +329,7 @@ def test_selects_anew_from_where_the_parameters_got_unstuck(monkeypatch):
     stuck, better = (Trial(None, ANYTHING, np.zeros(40), held[0], np.zeros(40)) for held in (large, small))
     monkeypatch.setattr(Unstuck, "better", better)
     court: Any = SimpleNamespace(capped=0.0)
-    precision = np.zeros((2, 3))
-    stage = Stage(ANYTHING, large[0], stuck, court, Yardstick.of(noise, stuck.held, 0.0), np.ones(4), precision)
+    stage = Stage(ANYTHING, large[0], stuck, court, Yardstick.of(noise, stuck.held, 0.0), np.ones(4))
     search = Search(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, print)
     near, selection, final, accepted = search._select(
         stage, Unstuck(ANYTHING, None, 1, court, [], yardstick=stage.yardstick)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nfpde.gap.accepted import Accepted, parameter_count
 from nfpde.gap.bootstrap import NoiseAlone
-from nfpde.gap.levels import FLOOR_ERROR, Yardstick, near_floor
+from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, near_floor, shrink_interval
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.score import HeldScore
 from nfpde.gap.trial import APART, LEVEL, Trial, block_test, likelihood_test, noise_of
@@ -113,13 +113,32 @@ class Acceptance(Rounds):
 
     def floor(self, trial: Trial) -> float:
         """The gap that noise alone leaves."""
-        floor = float(self.yardstick.floor.mean())
+        return max(float(floor.mean()) for floor in self._floors(trial))
+
+    def stands_out(self, trial: Trial) -> bool:
+        """Whether any joint has a gap that is surely not its noise."""
+        return self.beyond(trial) > NEAR_FLOOR
+
+    def beyond(self, trial: Trial) -> float:
+        """Gap at the joint where it is largest, in noise floors, the lower end of its 95 % interval."""
+        squares = self.yardstick.squares(trial.held).mean(2)
+        floors = [floor.mean(2) for floor in self._floors(trial)]
+        least = []
+        for dof in range(squares.shape[1]):
+            floor = max((f[:, dof] for f in floors), key=lambda f: float(f.mean()))
+            least.append(1.0 - shrink_interval(floor, squares[:, dof], self.court.block, NOISE_SEED)[2])
+        return max(least)
+
+    def _floors(self, trial: Trial) -> list[Array]:
+        """Squares that noise alone leaves (N, nv, C); where contacts are, as the trial's own model sees it, too.
+
+        A model that touches nothing knows nothing of what contacts make of noise.
+        """
         if self.sigma is None:
-            return floor
-        # a model that touches nothing knows nothing of what contacts make of noise
+            return [self.yardstick.floor]
         held = self.court.held
         noise = held.quieten(noise_of(trial.fit, self.sigma, held, NOISE_SEED))
-        return max(floor, float(np.mean([self.yardstick.gap(draw).mean() for draw in noise])))
+        return [self.yardstick.floor, np.mean([self.yardstick.squares(draw) for draw in noise], axis=0)]
 
     def _gap(self, trial: Trial) -> float:
         return float(self.yardstick.gap(trial.held).mean())

@@ -15,7 +15,6 @@ from nfpde.dataset import Dataset
 from nfpde.effects import DataScales, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
-from nfpde.gap.levels import Yardstick
 from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
 from nfpde.gap.replay import Replay
@@ -101,14 +100,11 @@ def diagnose_gap(
     stage, final, accepted, selection = found.near, found.final, found.accepted, found.selection
     recordings = found.recordings
     if stage.recordings is not recordings:
-        stage = search.after(found.near, recordings, final.fit if accepted else None, look=False)
-        selection = replace(selection, court=stage.court, yardstick=stage.yardstick)
-        final = stage.shown(final, refitted=True) if accepted else stage.base
-        final, accepted = selection.useful(stage.base, final, accepted)
-        selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
+        stage, found = search.over_longest(found)
+        final, accepted, selection = found.final, found.accepted, found.selection
     sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
     draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
-    shown = replace(stage, yardstick=Yardstick.of(draws, stage.base.held, stage.court.capped, stage.precision))
+    shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
     outcome = Outcome(
         dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error

@@ -41,16 +41,16 @@ FIRST, SECOND = (8, 14), (4, 6)
 a candidate that screening likes less may turn out the best."""
 
 
-def refit(court: Court, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
+def refit(court: Court, base: Fit, screened: Sequence[Screened], *, touches: bool) -> list[Trial]:
     """Refit the candidates that screening likes best; most held-out density first.
 
     Args:
         court: Fits and judges.
         base: A linearised fit without the candidates.
         screened: Candidates, best first.
+        touches: Whether contacts are there, so that slopes foretell little.
     """
     refitting, found = Refitting(court, base), list[tuple[float, Screened, Fit]]()
-    touches = court.capped > 0
     for s in _hopeful(screened, FIRST[touches]):
         fits = refitting.rough(s)
         gain, best = max((base.cost - fit.cost, i) for i, fit in enumerate(fits))

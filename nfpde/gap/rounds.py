@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -34,6 +34,8 @@ class Rounds:
     report: called with what is being done
     recall: what replays of the model have predicted
     steps: simulated so far
+    untouched: whether it is asked about joints that touch nothing: slopes foretell what happens there, and what
+        contacts do is no candidate
     """
 
     model: mujoco.MjModel
@@ -45,12 +47,13 @@ class Rounds:
     device: Device = "cpu"
     recall: Recall = field(default_factory=Recall)
     steps: int = 0
+    untouched: bool = False
 
     def refitted(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
         """The candidates that screening likes, refitted beside what is there; most held-out density first."""
         base = self.court.fitter.linearise(current.fit)
         keys = {key(e) for e in taken}
-        open_ones = [(e, values) for e, values in self.candidates if key(e) not in keys]
+        open_ones = self._open(keys)
         replay_with, replays = self._beside(base)
         if len(open_ones) > MANY:
             glanced = self._screen(base, open_ones, replay_with, GLANCED)
@@ -59,7 +62,7 @@ class Rounds:
             open_ones = [(s.effect, s.values) for s in kept]
         screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
-        trials = refit(self.court, base, screened)
+        trials = self._refit(base, screened)
         self.count(*replays)
         return trials
 
@@ -68,8 +71,7 @@ class Rounds:
         base = self.court.fitter.linearise(current.fit)
         known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
         replay_with, replays = self._beside(base)
-        others = [(e, values) for e, values in self.candidates if key(e) not in known]
-        more = refit(self.court, base, find_twins(self.court, base, found, others, replay_with))
+        more = self._refit(base, find_twins(self.court, base, found, self._open(known), replay_with))
         self.count(*replays)
         return more
 
@@ -83,9 +85,22 @@ class Rounds:
                 replay, values = self.replay([*base.replay.effects, t.effect]), t.fit.xi[columns][None]
                 starts = ((base.scatter, values),)
                 hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
-        found = refit(self.court, base, hopeful)
+        found = self._refit(base, hopeful)
         self.count(*(s.replay for s in hopeful))
         return found
+
+    def _open(self, known: Collection[tuple[str, str]]) -> list[tuple[Effect, Array]]:
+        """The candidates beside those that are known."""
+        asked = [(e, values) for e, values in self.candidates if key(e) not in known]
+        return [(e, values) for e, values in asked if e.whole != "contact"] if self.untouched else asked
+
+    def _refit(self, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
+        return refit(self.court, base, screened, touches=self._touches)
+
+    @property
+    def _touches(self) -> bool:
+        """Whether contacts have a part in what is asked about."""
+        return self.court.capped > 0 and not self.untouched
 
     def _screen(
         self,
@@ -96,7 +111,8 @@ class Rounds:
     ) -> list[Screened]:
         court = self.court
         least = 0.0 if part is GLANCED else LEAST_GAIN  # a glance is at too few windows to tell
-        return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least)
+        touches = self._touches
+        return screen(*court.screening(base, part), candidates, replay_with, court.quiet, least, touches=touches)
 
     def _beside(self, base: Fit) -> tuple[Callable[[Effect], Replay], list[Replay]]:
         """What makes the replay of a base and one more effect, and those that it made."""

@@ -7,7 +7,7 @@ what the free parameters could do themselves, and scaled to fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.noise import Scatter
 from nfpde.gap.replay import Replay
+from nfpde.gap.sizes import finer
 
 Array = NDArray[np.float64]
 
@@ -69,9 +70,9 @@ class _View:
         """What residuals (K, N, nv, C) of a candidate's values change, (K, n)."""
         return self._free(((self.scatter.whiten(there) - self._white) * self._root).reshape(len(there), -1))
 
-    def gain(self, there: Array) -> float:
-        """What the best of the values gains as it is [nats]."""
-        return float((self.scatter.log_density(there).sum(-1) - self._own).max())
+    def gains(self, there: Array) -> Array:
+        """What each of the values gains as it is [nats], (K,)."""
+        return self.scatter.log_density(there).sum(-1) - self._own
 
 
 def screen(
@@ -81,6 +82,8 @@ def screen(
     replay_with: Callable[[Effect], Replay],
     quiet: Scatter | None = None,
     least: float = 0.0,
+    *,
+    touches: bool = False,
 ) -> list[Screened]:
     """Screen candidates at a linearised base fit, best first.
 
@@ -93,14 +96,21 @@ def screen(
             the base heavy tails, and counts for next to nothing in it.
         least: A scatter by which nothing explains more [nats] ranks by chance, and does not count beside one that
             knows more.
+        touches: Whether contacts are there: only small changes are linear, and many sizes are tried as they are.
     """
     views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
     found = []
     for effect, values in candidates:
         replay = replay_with(effect)
-        xi = np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
+        every = np.vstack([values, finer(effect, values)]) if touches else values
+        xi = np.hstack([np.broadcast_to(base.xi, (len(every), len(base.xi))), every])
         there = fitter.residuals_at(replay, xi)
-        judged = [_judge(effect, values, v.residual, v.changes(there), v.gain(there)) for v in views]
+        judged = []
+        for v in views:
+            gains = v.gains(there)
+            j = _judge(effect, values, v.residual, v.changes(there[: len(values)]), float(gains.max()))
+            most = every[gains.argmax()][None]
+            judged.append(replace(j, guesses=np.vstack([j.guesses, most])) if touches else j)
         found.append((effect, replay, values, judged))
     best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
     least = least if max(best) > least else 0.0

@@ -144,6 +144,28 @@ class Search:
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0)
 
+    def over_longest(self, found: Found) -> tuple[Stage, Found]:
+        """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
+
+        What happens at a joint that touches nothing, short windows may not show: where one stands out in long ones, it
+        is asked about there.
+        """
+        stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
+        selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick)
+        final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
+        final, accepted = selection.useful(stage.base, final, found.accepted)
+        selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
+        over = replace(found, selection=selection, final=final, accepted=accepted)
+        if not selection.stands_out(final):
+            return stage, over
+        self.report("joints that stand out over longer windows")
+        asked = replace(selection, last=True, untouched=True)
+        near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
+        selection.steps = asked.steps
+        if len(more) <= len(accepted):
+            return stage, over
+        return near, replace(found, near=near, selection=asked, final=final, accepted=more)
+
     def _select(
         self,
         near: Stage,

@@ -41,7 +41,7 @@ class Selection(Acceptance):
 
         Args:
             base: The parameters fitted, without effects.
-            earlier: What was found on shorter windows, or in more noise, to go on from.
+            earlier: What was found on shorter windows, or in more noise, to go on from; on these, if untouched.
             further: Ask about what it left, though that was asked about before: in more noise, or of another beginning.
 
         Returns:
@@ -51,7 +51,10 @@ class Selection(Acceptance):
         current, accepted, carried = base, list[Accepted](), list[Accepted]()
         first_gap = self.gap_of(base)
         if earlier is not None and earlier[1]:
-            current, accepted = self._carried(base, *earlier, first_gap)
+            if self.untouched:  # what contacts do is asked of short windows
+                current, accepted = earlier[0], list(earlier[1])
+            else:
+                current, accepted = self._carried(base, *earlier, first_gap)
             carried = list(accepted)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
             if len(accepted) == MOST_EFFECTS or self._nothing_left(current, accepted):
@@ -78,7 +81,7 @@ class Selection(Acceptance):
             current, new = found
             current = self._converged(current.fit)
             accepted.append(new)
-            if len(accepted) > 1:
+            if len(accepted) > 1 and not self.untouched:
                 current, accepted = self._second_look(current, accepted, first_gap)
         if len(accepted) > 1:
             current, accepted = self._pruned(current, accepted, first_gap, carried)
@@ -89,6 +92,8 @@ class Selection(Acceptance):
 
         Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too.
         """
+        if self.untouched:
+            return not self.stands_out(current)
         if self.sigma is not None and self.last:
             return False
         return self.at_floor(current) if accepted else self.in_noise(current)

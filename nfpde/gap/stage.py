@@ -38,7 +38,6 @@ class Stage:
     court: fits and judges
     yardstick: measures the gap
     sigma: noise of the sensors (2 nv,)
-    precision: what simulations of the same motion may differ by (nv, C)
     """
 
     recordings: Recordings
@@ -47,11 +46,15 @@ class Stage:
     court: Court
     yardstick: Yardstick
     sigma: Array
-    precision: Array
 
     def at(self, base: Trial) -> Stage:
         """The same windows with another fit of the parameters alone, by which gaps are counted from now on."""
         return replace(self, base=base, yardstick=self.yardstick.beside(base.held))
+
+    def in_noise_of(self, draws: Array) -> Stage:
+        """The same windows beside other residuals that noise alone gives (draws, N, nv, C)."""
+        own = self.yardstick
+        return replace(self, yardstick=Yardstick.of(draws, self.base.held, own.capped, own.precision))
 
     def shown(self, trial: Trial, *, refitted: bool) -> Trial:
         """A trial of windows of another length on these.
@@ -189,15 +192,15 @@ def in_noise(
     fit, held = fitter.quieten(fit), other.quieten(held)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     moved = _moved(found.replay, recordings)
-    floor, precision = floor_of(found.residuals, moved), precision_of(moved)
+    floor = floor_of(found.residuals, moved)
     quiet = learn_scatter(fit.reshape(-1, *floor.shape), 0, floor)
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
     base = court.judge(None, found)
     nominal = other.residuals_at(found.replay, court.nominal[None])[0]
-    yardstick = Yardstick.of(held, base.held, court.capped, precision)
-    return Stage(recordings, nominal, base, court, yardstick, sigma, precision)
+    yardstick = Yardstick.of(held, base.held, court.capped, precision_of(moved))
+    return Stage(recordings, nominal, base, court, yardstick, sigma)
 
 
 def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:

@@ -1,0 +1,102 @@
+"""Sizes that are screened where contacts are, and what they are for."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from nfpde.effects import DataScales, all_candidates, effect
+from nfpde.gap.fit import Fitter
+from nfpde.gap.noise import learn_scatter
+from nfpde.gap.replay import Replay
+from nfpde.gap.screen import screen
+from nfpde.gap.sizes import SMALLEST, STEP, finer
+from tests.test_gap_contacts import BLOCK, pushes
+
+ANYTHING: Any = None
+
+
+def test_every_effect_is_tried_small_on_both_sides_in_steps_of_four():
+    """Of every direction that is screened, and its opposite, sizes reach down to a hundredth of the bounds."""
+    model = mujoco.MjModel.from_xml_string(BLOCK)
+    scales = DataScales.of(model, pushes(0.5, noise=1e-4))
+    asked = 0
+    for candidate in all_candidates(model, scales):
+        values = candidate.screened(scales)
+        more = finer(candidate, values)
+        low, high = (np.array([getattr(p, side) for p in candidate.parameters]) for side in ("low", "high"))
+        assert ((low <= more) & (more <= high)).all()
+        neutral = np.array([q.neutral for q in candidate.quantities])
+        sized = np.array([not q.shape_only for q in candidate.quantities])
+        if not np.isfinite(neutral[sized]).all():
+            assert len(more) == 0
+            continue
+        every = ((np.vstack([values, more]) - neutral) / (high - low))[:, sized]
+        for value in values:
+            way = ((value - neutral) / (high - low))[sized]
+            along = every @ way / (way @ way)
+            on_line = np.linalg.norm(every - np.outer(along, way), axis=1) < 1e-9
+            for side in (1.0, -1.0):
+                mirrored = np.where(sized, neutral + side * 1e-6 * (value - neutral), value)
+                if ((low <= mirrored) & (mirrored <= high)).all():
+                    sizes = np.sort(side * along[on_line & (side * along > 0)]) * np.abs(way).max()
+                    assert sizes[0] <= SMALLEST * (1 + 1e-9)
+                    own = np.abs(along[: len(values)][on_line[: len(values)]]).min() * np.abs(way).max()
+                    small = sizes[sizes <= own * (1 + 1e-9)]
+                    assert (small[1:] <= STEP * small[:-1] * (1 + 1e-9)).all()
+                    asked += 1
+    assert asked > 50
+
+
+def test_what_points_elsewhere_or_has_another_shape_has_sizes_of_its_own():
+    """Gains have two sides that are screened, a force has one; a payload's place stays where it is."""
+    gains = effect("servo_gain", "bend", kp_scale=(0.2, 5.0), kv_scale=(0.2, 5.0))
+    more = finer(gains, np.array([[0.85, 1.0], [1.8, 1.0]]))
+    # of the way between the bounds they are 1/32 and 1/6: one step and three lead to a hundredth and below
+    expected = [1 - 0.15 / 4, *(1 + 0.8 / 4.0 ** np.arange(1, 4))]
+    np.testing.assert_allclose(more, np.stack([expected, np.ones(4)], axis=1))
+    push = effect("external_force", "block", force_x=(-100.0, 100.0), force_y=(-100.0, 100.0), force_z=(-100.0, 100.0))
+    more = finer(push, np.array([[6.0, 0.0, 0.0]]))
+    assert sorted(more[:, 0].tolist()) == [-6.0, -1.5, 1.5]
+    assert not more[:, 1:].any()
+    place = {f"position_{axis}": (-0.1, 0.1) for axis in "xyz"}
+    load = effect("payload", "block", mass=(0.0, 1.0), **place)
+    more = finer(load, np.array([[0.02, 0.0, 0.0, 0.05], [0.03, 0.0, 0.0, -0.05]]))
+    np.testing.assert_allclose(more, [[0.005, 0.0, 0.0, 0.05], [0.0075, 0.0, 0.0, -0.05]])
+    assert len(finer(effect("torque_limit", "drive", limit=(0.1, 9.0)), np.array([[1.0]]))) == 0
+
+
+class Slipping(Replay):
+    """Residuals that an effect of a size up to .1 takes away in proportion, and a larger one throws all over."""
+
+    effects = ()
+
+    def __init__(self, start: np.ndarray, right: float, thrown: np.ndarray) -> None:
+        self.start, self.right, self.thrown = start, right, thrown
+        self.low, self.high = np.zeros(1), np.ones(1)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return np.stack([self.start * (1 - x / self.right) if x <= 0.1 else self.start + self.thrown for (x,) in xi])
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_what_gains_at_a_small_size_only_is_found_where_contacts_are(touches):
+    """Screened at .5 alone it explains next to nothing; with smaller sizes it ranks first, and a fit starts there."""
+    rng = np.random.default_rng(6)
+    start = 5.0 * rng.normal(size=(60, 1, 2))
+    scatter = learn_scatter(start, 0, 1e-6 * np.ones((1, 2)))
+    slips, other = (effect("coulomb_friction", t, torque=(0.0, 1.0)) for t in ("elbow", "shoulder"))
+    thrown, share = 30 * rng.normal(size=start.shape), 0.1 * start + rng.normal(size=start.shape)
+    replays = {"elbow": Slipping(start, 0.04, thrown), "shoulder": Slipping(start, math.inf, -share)}
+    base: Any = SimpleNamespace(
+        replay=None, xi=np.zeros(0), scatter=scatter, residuals=start, slopes=np.zeros((0, *start.shape))
+    )
+    tried = [(e, np.array([[0.5]])) for e in (other, slips)]
+    with_effect: Any = lambda e: replays[e.place]  # noqa: E731
+    found = screen(Fitter(ANYTHING, (1, 2)), base, tried, with_effect, touches=touches)
+    assert (found[0].effect is slips) is touches
+    if touches:
+        assert 0.5 / STEP**2 in found[0].starts[0][1].ravel()
