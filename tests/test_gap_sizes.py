@@ -82,6 +82,13 @@ class Slipping(Replay):
         return np.stack([self.start * (1 - x / self.right) if x <= 0.1 else self.start + self.thrown for (x,) in xi])
 
 
+class Line:
+    """A replay without free parameters."""
+
+    def inward(self, xi: np.ndarray) -> np.ndarray:
+        return xi
+
+
 @pytest.mark.parametrize("touches", [False, True])
 def test_what_gains_at_a_small_size_only_is_found_where_contacts_are(touches):
     """Screened at .5 alone it explains next to nothing; with smaller sizes it ranks first, and a fit starts there."""
@@ -92,7 +99,7 @@ def test_what_gains_at_a_small_size_only_is_found_where_contacts_are(touches):
     thrown, share = 30 * rng.normal(size=start.shape), 0.1 * start + rng.normal(size=start.shape)
     replays = {"elbow": Slipping(start, 0.04, thrown), "shoulder": Slipping(start, math.inf, -share)}
     base: Any = SimpleNamespace(
-        replay=None, xi=np.zeros(0), scatter=scatter, residuals=start, slopes=np.zeros((0, *start.shape))
+        replay=Line(), xi=np.zeros(0), scatter=scatter, residuals=start, slopes=np.zeros((0, *start.shape))
     )
     tried = [(e, np.array([[0.5]])) for e in (other, slips)]
     with_effect: Any = lambda e: replays[e.place]  # noqa: E731
@@ -100,3 +107,48 @@ def test_what_gains_at_a_small_size_only_is_found_where_contacts_are(touches):
     assert (found[0].effect is slips) is touches
     if touches:
         assert 0.5 / STEP**2 in found[0].starts[0][1].ravel()
+
+
+class Yielding(Replay):
+    """Residuals of a parameter, and of an effect that does what is missing, and something that the parameter undoes."""
+
+    effects = ()
+
+    def __init__(self, noise: np.ndarray, missing: np.ndarray, undone: np.ndarray, count: int) -> None:
+        self.noise, self.missing, self.undone = noise, missing, undone
+        self.low, self.high = np.zeros(count), np.ones(count)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        size = xi[:, 1] if xi.shape[1] > 1 else np.zeros(len(xi))
+        rows = zip(xi[:, 0], size, strict=True)
+        return np.stack([self.noise + (1 - x) * self.missing + (x - p) * self.undone for p, x in rows])
+
+
+def test_an_effect_whose_part_a_parameter_has_played_ranks_where_contacts_are():
+    """As it is it makes things worse by four times what it takes away; with the parameter where it belongs, it is all.
+
+    A parameter at its bound, as if the effect were not there, is moved as far as slopes foretell: to the bottom.
+    """
+    rng = np.random.default_rng(7)
+    noise, missing, undone = rng.normal(size=(3, 60, 1, 2)) * np.array([0.1, 1.0, 4.0])[:, None, None, None]
+    alone, both = (Yielding(noise, missing, undone, count) for count in (1, 2))
+    fitter = Fitter(ANYTHING, (1, 2))
+    scatter = learn_scatter(missing, 0, 1e-6 * np.ones((1, 2)))
+    base = fitter.linearise(fitter.start(alone, np.zeros((1, 1)), scatter))
+    xi = np.array([[0.0, 0.9]])
+    there = both.residuals(xi, ANYTHING, ANYTHING)
+    grid = np.stack([np.linspace(0, 1, 1001), np.full(1001, 0.9)], axis=1)
+    costs = fitter.costs(both, grid, scatter)
+    assert costs[0] > base.cost > costs.min()
+    foretold = fitter.foretold(both, xi, there, base, scatter)
+    # one step, with weights of where it began: within a hundredth of what there is to gain
+    assert foretold[0] == pytest.approx(costs.min(), abs=0.01 * (base.cost - costs.min()))
+    what, other = (effect("coulomb_friction", t, torque=(0.0, 1.0)) for t in ("elbow", "shoulder"))
+    slight = Yielding(noise, 0.1 * missing, 0 * undone, 2)
+    slight.noise = noise + 0.9 * missing
+    replays = {"elbow": both, "shoulder": slight}
+    tried = [(e, np.array([[0.9]])) for e in (other, what)]
+    with_effect: Any = lambda e: replays[e.place]  # noqa: E731
+    found = screen(fitter, base, tried, with_effect, touches=True)
+    assert found[0].effect is what
+    assert found[0].explained[0] > 0.9 * (base.cost - costs.min())

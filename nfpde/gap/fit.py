@@ -141,6 +141,23 @@ class Fitter:
         u[:k] = moved
         return self._cost(u, foretold, scatter)
 
+    def foretold(self, replay: Replay, xi: Array, residuals: Array, base: Fit, scatter: Scatter) -> Array:
+        """Negative log posteriors (G,) [nats] where a base's parameters make up for the rest, or stay: what is less.
+
+        Args:
+            replay: What is simulated.
+            xi: Free parameters (G, D), those of the base first.
+            residuals: There (G, N, nv, C).
+            base: A linearised fit on these windows.
+            scatter: What counts.
+        """
+        u = replay.inward(xi)
+        stay = np.array([self._cost(row, r, scatter) for row, r in zip(u, residuals, strict=True)])
+        if not len(base.xi):
+            return stay
+        react = [self._react(row, r, base, scatter) for row, r in zip(u, residuals, strict=True)]
+        return np.minimum(stay, react)
+
     def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""
         return self._residuals(replay, replay.inward(xi), force)

@@ -55,12 +55,11 @@ class Screened:
 class _View:
     """Residuals of a base fit as a scatter weighs them, without what the free parameters could do themselves."""
 
-    def __init__(self, base: Fit, scatter: Scatter) -> None:
-        self.scatter = scatter
+    def __init__(self, fitter: Fitter, base: Fit, scatter: Scatter, *, yields: bool) -> None:
+        self.scatter, self._fitter, self._base, self._yields = scatter, fitter, base, yields
         self._white = scatter.whiten(base.residuals)
         self._root = np.sqrt(scatter.weights(self._white))[..., None]
         self._span = span_of(base, scatter, self._root)
-        self._own = scatter.log_density(base.residuals).sum()
         self.residual = self._free((self._white * self._root).ravel())
 
     def _free(self, rows: Array) -> Array:
@@ -70,9 +69,17 @@ class _View:
         """What residuals (K, N, nv, C) of a candidate's values change, (K, n)."""
         return self._free(((self.scatter.whiten(there) - self._white) * self._root).reshape(len(there), -1))
 
-    def gains(self, there: Array) -> Array:
-        """What each of the values gains as it is [nats], (K,)."""
-        return self.scatter.log_density(there).sum(-1) - self._own
+    def gains(self, replay: Replay, xi: Array, there: Array) -> Array:
+        """What each of a candidate's values gains as it is [nats], (K,).
+
+        With parameters that yield, each after they made up for the rest: they may have taken its part.
+        """
+        if not self._yields:
+            own = self.scatter.log_density(self._base.residuals).sum()
+            return self.scatter.log_density(there).sum(-1) - own
+        base = self._base
+        own = self._fitter.foretold(base.replay, base.xi[None], base.residuals[None], base, self.scatter)
+        return own - self._fitter.foretold(replay, xi, there, base, self.scatter)
 
 
 def screen(
@@ -98,7 +105,7 @@ def screen(
             knows more.
         touches: Whether contacts are there: only small changes are linear, and many sizes are tried as they are.
     """
-    views = [_View(base, scatter) for scatter in (base.scatter, quiet) if scatter is not None]
+    views = [_View(fitter, base, s, yields=touches) for s in (base.scatter, quiet) if s is not None]
     found = []
     for effect, values in candidates:
         replay = replay_with(effect)
@@ -107,7 +114,7 @@ def screen(
         there = fitter.residuals_at(replay, xi)
         judged = []
         for v in views:
-            gains = v.gains(there)
+            gains = v.gains(replay, xi, there)
             j = _judge(effect, values, v.residual, v.changes(there[: len(values)]), float(gains.max()))
             most = every[gains.argmax()][None]
             judged.append(replace(j, guesses=np.vstack([j.guesses, most])) if touches else j)
