@@ -61,6 +61,12 @@ class _View:
         self._root = np.sqrt(scatter.weights(self._white))[..., None]
         self._span = span_of(base, scatter, self._root)
         self.residual = self._free((self._white * self._root).ravel())
+        self._own = self._cost(base.replay, base.xi[None], base.residuals[None])[0]
+
+    def _cost(self, replay: Replay, xi: Array, there: Array) -> Array:
+        if self._yields:
+            return self._fitter.foretold(replay, xi, there, self._base, self.scatter)
+        return -self.scatter.log_density(there).sum(-1)
 
     def _free(self, rows: Array) -> Array:
         return rows - (rows @ self._span) @ self._span.T
@@ -74,12 +80,7 @@ class _View:
 
         With parameters that yield, each after they made up for the rest: they may have taken its part.
         """
-        if not self._yields:
-            own = self.scatter.log_density(self._base.residuals).sum()
-            return self.scatter.log_density(there).sum(-1) - own
-        base = self._base
-        own = self._fitter.foretold(base.replay, base.xi[None], base.residuals[None], base, self.scatter)
-        return own - self._fitter.foretold(replay, xi, there, base, self.scatter)
+        return self._own - self._cost(replay, xi, there)
 
 
 def screen(
