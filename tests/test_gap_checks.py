@@ -191,10 +191,16 @@ def carts(late, noise):
     return model, Dataset([Episode("0", 0.01 * np.arange(rows - 1), qpos[1:], qvel[1:], logged)])
 
 
-@pytest.mark.parametrize(("late", "refused"), [((1, 1), True), ((0, 1), False)])
-def test_what_one_joint_says_of_late_logs_another_may_deny(late, refused):
-    """The noise is a third to a half of a command's step: a joint alone would tell, and half of them deny."""
-    model, data = carts(late, np.array([0.005, 0.003]))
+@pytest.mark.parametrize(
+    ("late", "noise", "refused"),
+    [((1, 1), (0.005, 0.003), True), ((0, 1), (0.005, 0.003), False), ((1, 0), (1e-9, 0.003), False)],
+)
+def test_what_one_joint_says_of_late_logs_another_may_deny(late, noise, refused):
+    """The noise is a third to a half of a command's step: a joint alone would tell, and half of them deny.
+
+    However little noise a joint has, which makes of its share next to nothing, the other is heard.
+    """
+    model, data = carts(late, np.array(noise))
     with pytest.raises(BadDataset, match="commands look one row late") if refused else nullcontext():
         check_commands(Replay(model, None, []), data, np.zeros(0))
 

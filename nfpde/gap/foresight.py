@@ -31,7 +31,8 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
     command, which the model is given instead. Where that explains most of what was left, the next row's command had
     acted already. What a stiffer servo does, which leads the model as well, follows from state and command alone.
     One joint is not enough, as a body that rests on others is thrown about by small faults: the gains in log likelihood
-    of all joints (normal errors, every joint's variance its own) must sum to as much.
+    of all joints (normal errors, every joint's variance its own) must sum to as much, and none counts for more than
+    that: a body at rest lacks next to nothing, of which next to nothing may explain any share.
 
     Args:
         replay: The nominal model.
@@ -60,8 +61,8 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
     shares = [
         _left(told[sound], lacking[sound, c], row[sound, c]) for c in range(every.nv) if (row[sound, c] != 0).any()
     ]
-    together = sum(np.log(of_residual) for _, of_residual in shares)
-    if any(least < CURED for least, _ in shares) and together < np.log(CURED):
+    together = sum(max(np.log(of_residual), np.log(CURED)) for _, of_residual in shares)
+    if any(least < CURED for least, _ in shares) and together <= np.log(CURED):
         raise BadDataset(
             f"the commands look one row late: ctrl[r] must act from row r to row r+1, and here it is the command that "
             f"led to row r ({min(shares)[0]:.2g} of what the nominal model cannot explain is left with the next row's "
