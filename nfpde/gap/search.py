@@ -128,13 +128,13 @@ class Search:
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
-        while self.touches and known < len(accepted) < MOST_EFFECTS:
+        while known < len(accepted) < MOST_EFFECTS:
             known = len(accepted)
             self.report("noise of the sensors")
             if near is not first:  # the parameters had been stuck
                 base, court = moved_over(near.base, court, lengths[0])
             first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole)
-            if (first.sigma >= QUIETER * near.sigma).all():
+            if not self._hid(near, first, selection, final):
                 break
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
         for longer in lengths[1:]:
@@ -184,6 +184,17 @@ class Search:
             selection = replace(_moved(selection, near), ranking=[])
             final, accepted = selection.run(near.base, earlier, further=further)
         return near, selection, final, accepted
+
+    def _hid(self, near: Stage, anew: Stage, selection: Selection, final: Trial) -> bool:
+        """Whether noise that was misjudged may have hidden more, by that which what was found knows of.
+
+        In smooth motion a gap is asked about as long as it is above the floor: that must have fallen below the gap.
+        """
+        if self.touches:
+            return bool((anew.sigma < QUIETER * near.sigma).any())
+        if not selection.at_floor(final):
+            return False
+        return not _moved(selection, anew).at_floor(anew.shown(final, refitted=False))
 
     def after(self, before: Stage, longer: Recordings, known: Fit | None, *, look: bool = True) -> Stage:
         """The stage of longer windows, its base fitted from the guesses and from that of the shorter ones.
