@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from nfpde.effects import effect
+from nfpde.gap.answer import Outcome
 from nfpde.gap.levels import NEAR_FLOOR, Yardstick
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.search import Found, Search
@@ -45,6 +46,27 @@ def test_noise_alone_seldom_stands_out():
     for _ in range(20):
         noise, own = rng.standard_t(3, size=(3, 60, 2, 4)), rng.standard_t(3, size=(60, 2, 4))
         assert selection(noise).beyond(Trial(None, ANYTHING, np.zeros(60), own, np.zeros(60))) < NEAR_FLOOR
+
+
+@pytest.mark.parametrize(
+    ("touches", "accepted", "expected"),
+    [(True, (), 4.0), (True, ("effect",), 1.0), (False, (), 1.0)],
+)
+def test_a_joint_that_stands_out_and_is_not_explained_is_a_gap(touches, accepted, expected):
+    """Three joints leave next to nothing and a fourth leaves four floors: one in the mean."""
+    rng = np.random.default_rng(10)
+    noise, factors = rng.normal(size=(3, 60, 4, 8)), np.array([0.05, 0.05, 0.05, 2.0])[:, None]
+    chosen: Any = selection(noise)
+    chosen.sigma = np.ones(8) if touches else None
+    chosen._floors = lambda trial: [chosen.yardstick.floor]
+    left = rng.normal(size=(60, 4, 8)) * factors
+    fit: Any = SimpleNamespace(residuals=left)
+    final = Trial(None, fit, np.zeros(60), left, np.zeros(60))
+    stage: Any = SimpleNamespace(yardstick=chosen.yardstick, recordings=SimpleNamespace(block=BLOCK))
+    outcome = Outcome(ANYTHING, stage, stage, final, accepted, chosen, ANYTHING, ANYTHING, 0, "", ANYTHING)
+    # a sum of 480 squares scatters by 6.5 %, and its interval's lower end lies two of these below
+    assert outcome.least_over_floor() == pytest.approx(expected, rel=6 * 0.065)
+    assert (outcome.least_over_floor() > NEAR_FLOOR) is (expected > NEAR_FLOOR)
 
 
 def test_what_contacts_do_is_no_candidate_there():

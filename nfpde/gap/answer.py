@@ -108,11 +108,15 @@ class Outcome:
         """Gap that is left in noise floors, the lower end of its 95 % interval.
 
         Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
+        A joint that touches nothing may stand out beside them all the same, and what was not found is no absence of it:
+        where nothing was found, the joint with the largest counts.
         """
         if self._exact:
             return 0.0
         floor = self.yardstick.floor.mean((1, 2))
-        return 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
+        least = 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
+        asked = self.selection.sigma is not None and not self.accepted
+        return max(least, self.selection.beyond(self.final)) if asked else least
 
     def rare(self) -> float:
         """Probability of the windows with the largest gap of both halves, were there nothing but noise."""
