@@ -108,8 +108,7 @@ class Outcome:
         """Gap that is left in noise floors, the lower end of its 95 % interval.
 
         Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
-        A joint that touches nothing may stand out beside them all the same, and what was not found is no absence of it:
-        where nothing was found, the joint with the largest counts.
+        A single joint may stand out all the same: where no effect was found, the joint with the largest ratio counts.
         """
         if self._exact:
             return 0.0

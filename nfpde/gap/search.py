@@ -186,9 +186,10 @@ class Search:
         return near, selection, final, accepted
 
     def _hid(self, near: Stage, anew: Stage, selection: Selection, final: Trial) -> bool:
-        """Whether noise that was misjudged may have hidden more, by that which what was found knows of.
+        """Whether noise that was believed too large, without what was found (`near`), may have hidden more (`anew`).
 
-        In smooth motion a gap is asked about as long as it is above the floor: that must have fallen below the gap.
+        In smooth motion whatever is above the noise floor has been asked about already: what was below it is asked
+        about where the floor has fallen below it.
         """
         if self.touches:
             return bool((anew.sigma < QUIETER * near.sigma).any())
