@@ -138,7 +138,7 @@ RUB, SPRING, MOTOR, LOAD = (
 def trial(which, left, density=0.0):
     """A trial that leaves a gap, at a density."""
     densities = density + 0.1 * np.random.default_rng(3).normal(size=40)
-    fit: Any = SimpleNamespace(left=left)
+    fit: Any = SimpleNamespace(left=left, cost=-float(densities.sum()))
     return Trial(which, fit, densities, ANYTHING, densities)
 
 

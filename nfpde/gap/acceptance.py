@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nfpde.gap.accepted import Accepted, parameter_count
 from nfpde.gap.bootstrap import NoiseAlone
+from nfpde.gap.far import Far
 from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, near_floor, shrink_interval
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.score import HeldScore
@@ -40,6 +41,7 @@ class Acceptance(Rounds):
     sigma: noise of the sensors (2 nv,), where contacts decide what becomes of it; else None
     by_noise: what noise alone gives to candidates, by what they are beside
     scores: slopes of the held-out windows, by the model at which they are
+    far: the longest windows, where these are shorter
     last: whether no longer windows follow
     """
 
@@ -47,6 +49,7 @@ class Acceptance(Rounds):
     sigma: Array | None = None
     by_noise: dict[Trial, NoiseAlone] = field(default_factory=dict)
     scores: dict[Trial, HeldScore] = field(default_factory=dict)
+    far: Far | None = None
     last: bool = True
 
     def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
@@ -75,7 +78,9 @@ class Acceptance(Rounds):
             behind, error, apart = block_test(best.density - trial.density, block)
             if behind < max(error if np.isfinite(error) else 0.0, NEGLIGIBLE * gain):
                 near.append(trial)
-            if self._equal(gap, best, trial, apart > APART or trial in near):
+            untold = apart > APART or trial in near
+            untold = untold or (self.court.contradicted(best, trial) and self._leaves_nearly(gap, best, trial))
+            if self._equal(gap, best, trial, untold):
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters
         simplest = sorted((t for t in near if t in gains), key=lambda t: (parameter_count(t), -t.density.mean()))
@@ -91,7 +96,8 @@ class Acceptance(Rounds):
 
         What most windows gain must outweigh, as a factor, what those few lose. What is less than an error of the floor
         is looked at on the last windows beside contacts alone, where simulated noise says what it gives by itself.
-        What rounding may do is nobody's work.
+        What rounding may do is nobody's work. What these windows are too short to show much of is worth what it is over
+        the longest, if it shrinks the gap here at all.
         """
         rounding = self.yardstick.rounding
         least = rounding if self.sigma is not None and self.last else max(FLOOR_ERROR, rounding)
@@ -99,7 +105,13 @@ class Acceptance(Rounds):
         if gap - left >= max(rounding, min(WORTH * first_gap, max(WORTH * gap, least))):
             return True
         usual, usual_left = self._usual_gap(current), self._usual_gap(trial)
-        return usual - usual_left >= max(WORTH * usual, least) and left * usual_left < gap * usual
+        if usual - usual_left >= max(WORTH * usual, least) and left * usual_left < gap * usual:
+            return True
+        if self.sigma is None or self.far is None or left > gap - rounding:
+            return False
+        before, after = self.far.gaps(current, trial, self.sigma)
+        self.count(trial.fit.replay, current.fit.replay)
+        return before - after >= WORTH * before
 
     def at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""

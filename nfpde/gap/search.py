@@ -13,6 +13,7 @@ from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
 from nfpde.gap.brief import brief
+from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
 from nfpde.gap.halves import HeldOut, alike_halves
 from nfpde.gap.recordings import Recordings, cut_recordings, joined
@@ -124,6 +125,8 @@ class Search:
         self.report("noise of the sensors")
         first = in_noise(base, court, lengths[0], self.seed, whole=whole)
         selection = replace(self.select(first), last=len(lengths) == 1)
+        if whole:
+            selection = replace(selection, far=Far(recordings, court.capped))
         near, selection, final, accepted = self._select(first, selection)
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
@@ -151,7 +154,7 @@ class Search:
         is asked about there.
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
-        selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick)
+        selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
         final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
         final, accepted = selection.useful(stage.base, final, found.accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]

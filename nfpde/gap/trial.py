@@ -122,6 +122,14 @@ class Court:
         """Held-out log density gained per window, its standard error over blocks, and their ratio's p-value."""
         return block_test(better.density - base.density, self.block)
 
+    def contradicted(self, better: Trial, other: Trial) -> bool:
+        """Whether both halves together favour a trial that the held-out one speaks against.
+
+        Then neither of the two is what made the recordings, and which of them is nearer to it hangs on the halves.
+        """
+        behind = float((better.density - other.density).sum())
+        return better.fit.cost - other.fit.cost - behind >= LEAST_GAIN
+
 
 def noise_of(fit: Fit, sigma: Array, half: Fitter, seed: int) -> Array:
     """Residuals that noise of the sensors (2 nv,) alone gives, as a fit's model sees it (draws, N, nv, C)."""
