@@ -241,7 +241,7 @@ def test_a_diverged_window_is_bad_but_finite():
 
 def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
-    fit: Any = SimpleNamespace(residuals=residuals)
+    fit: Any = SimpleNamespace(residuals=residuals, cost=-float(density.sum()))
     return Trial(effect, fit, density, residuals, density)
 
 
