@@ -43,9 +43,7 @@ class Far:
         windows = joined(self.recordings.fit, self.recordings.held)
         plain, replay = Fitter(windows, self.recordings.horizons), current.fit.replay
         left, noise = plain.residuals_at(replay, current.fit.xi[None])[0], noise_of(current.fit, sigma, plain, SEED)
-        steps = np.array(plain.horizons) - 1
-        moved = replay.by_dof(replay.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
-        loud = loudness(noise, left, floor_of(left, moved))
+        loud = loudness(noise, left, floor_of(left, replay.moved(windows, plain.horizons)))
         left = loud.quieten(left)
         yardstick = Yardstick.of(loud.quieten(noise), left, self.capped)
         return _Measure(replace(plain, noise=loud), yardstick, float(yardstick.gap(left).mean()))

@@ -144,6 +144,11 @@ class Replay:
             parts.append(self.by_dof(self.sim.states.difference(states, windows.target[:, steps])))
         return np.concatenate(parts)
 
+    def moved(self, windows: Windows, horizons: Sequence[int]) -> Array:
+        """By how much the channels change over the horizons, as residuals (N, nv, 2 horizons)."""
+        steps = np.array(horizons) - 1
+        return self.by_dof(self.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
+
     def by_dof(self, difference: Array) -> Array:
         """Differences (..., h, 2 nv) to (..., nv, 2 h): positions at every horizon, then velocities."""
         nv = self.nv

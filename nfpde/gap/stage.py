@@ -92,7 +92,7 @@ def first_fit(
             in no pit.
     """
     fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
-    moved = _moved(start, recordings)
+    moved = start.moved(recordings.fit, recordings.horizons)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit, share = _improved(fitter, start, guesses, scatter), CAPPED if capped else 0.0
@@ -132,7 +132,7 @@ def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial
     fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
     fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     court = replace(court, block=recordings.block, fitter=fitter, held=held)
-    return _judged(court.settle(fit), court, _moved(fit.replay, recordings))
+    return _judged(court.settle(fit), court, fit.replay.moved(recordings.fit, recordings.horizons))
 
 
 def gaps(base: Trial, court: Court) -> Array:
@@ -191,7 +191,7 @@ def in_noise(
     other = replace(court.held, noise=loud.some(slice(fit.shape[1], None)))
     fit, held = fitter.quieten(fit), other.quieten(held)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
-    moved = _moved(found.replay, recordings)
+    moved = found.replay.moved(recordings.fit, recordings.horizons)
     floor = floor_of(found.residuals, moved)
     quiet = learn_scatter(fit.reshape(-1, *floor.shape), 0, floor)
     court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
@@ -208,10 +208,3 @@ def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
     court = replace(court, floor=floor_of(fit.residuals, moved))
     fit = court.fitter.linearise(court.fitter.rescale(fit, court.scatter(fit)))
     return court.judge(None, fit), court
-
-
-def _moved(start: Replay, recordings: Recordings) -> Array:
-    """By how much the channels change over the horizons, as residuals (N, nv, C)."""
-    steps = np.array(recordings.horizons) - 1
-    windows = recordings.fit
-    return start.by_dof(start.sim.states.difference(windows.target[:, steps], windows.state[:, :1]))
