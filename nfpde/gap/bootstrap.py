@@ -8,7 +8,8 @@ bootstrap, 1993, chapter 6).
 
 These windows give less than recordings do. They start where noise has moved what was measured already, and move it once
 more: what presses one way only, in proportion to the noise, shows them sqrt(2) - 1 of its push, and gains go by the
-square of that, about a sixth. What noise is known to give has to count several times over.
+square of that, about a sixth; less still, as a foot inside the floor is thrown out of it before it is measured again.
+What noise is known to give has to count several times over.
 """
 
 from __future__ import annotations
