@@ -108,7 +108,8 @@ def test_constants_of_several_models_are_derived_on_the_device(windows):
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=2e-5)
     fields = sim.reference.writer.rows(xi)
     for name in sim._model.derived:
-        np.testing.assert_allclose(batch._fields[name].numpy(), fields[name].reshape(3, -1), rtol=1e-4, err_msg=name)
+        found = batch._fields[name].numpy()[:3]  # on a GPU there are rows that nobody reads
+        np.testing.assert_allclose(found, fields[name].reshape(3, -1), rtol=1e-4, err_msg=name)
 
 
 @pytest.mark.parametrize("device", ["cpu", WARP])

@@ -87,8 +87,29 @@ def test_constants_of_the_model_follow_the_parameters():
     for name, field in batch._fields.items():
         row = expected[name].reshape(5, -1)
         # single precision through a Cholesky factor: 1e-5 relative
-        np.testing.assert_allclose(field.numpy(), row, rtol=1e-4, atol=1e-6 * np.abs(row).max(), err_msg=name)
+        # on a GPU there are rows that no world of these vectors reads
+        found = field.numpy()[:5]
+        np.testing.assert_allclose(found, row, rtol=1e-4, atol=1e-6 * np.abs(row).max(), err_msg=name)
     assert {"body_mass", "body_inertia", "body_subtreemass", "body_invweight0"} <= batch._fields.keys()
+
+
+def test_what_is_derived_reaches_no_other_simulator():
+    """A model's arrays are one for all simulators of it: whatever MuJoCo Warp computes anew has arrays of its own."""
+    robot = ROBOTS["hopper"]
+    sim = WarpSimulator(robot.model, robot.space, device=WARP, check_influence=False)
+    windows = record(robot.model, 1, 3, HOPPER_SUBSTEPS).transitions()
+    expected = sim.losses(vectors(sim, 2), windows, np.ones(sim.states.ndiff))
+    nominal, written = sim._model.nominal, ("geom_aabb", "geom_rbound", "dof_invweight0", "body_subtreemass")
+    before = {name: getattr(nominal, name).numpy() for name in written}
+    try:
+        for name in written:
+            getattr(nominal, name).fill_(np.nan)  # what is written shows, however alike it is
+        np.testing.assert_array_equal(sim.losses(vectors(sim, 2), windows, np.ones(sim.states.ndiff)), expected)
+        for name in written:
+            assert np.isnan(getattr(nominal, name).numpy()).all(), name
+    finally:
+        for name, values in before.items():
+            getattr(nominal, name).assign(values)
 
 
 def test_windows_of_many_steps(sim):

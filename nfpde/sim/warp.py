@@ -161,7 +161,10 @@ class WarpSimulator(Simulator):
 
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
-        return np.array(self.losses_on_device(xi, windows, scale).numpy(), np.float64)
+        found: Any = self.losses_on_device(xi, windows, scale)
+        # as it lies in memory: turning it is left to the host, which need not move anything for it
+        fetched = found.numpy() if found.is_contiguous else found.transpose().numpy().T
+        return np.array(fetched) if self.device.is_cpu else fetched  # there it is the batch's own memory
 
     def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> wp.array:
         """See `Simulator.losses_on_device`: the batch's own memory where all pairs run at once."""
@@ -293,11 +296,12 @@ class WarpSimulator(Simulator):
             batch, overflow = None, 0
             try:
                 batch = self._batch(wanted)
-                batch.stage(fields, values, active, windows)
                 if pairs is None:
                     batch.pair_all(len(xi), len(windows))
                 else:
                     batch.pair(*pairs)
+                batch.stage_parameters(fields, values, active)
+                batch.stage_windows(windows)
                 overflow = batch.run(np.ones(self.states.ndiff) if scale is None else scale)
             except RuntimeError as error:
                 if not ran_out(error):

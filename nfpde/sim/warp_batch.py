@@ -1,9 +1,9 @@
-"""A batch of worlds on a Warp device: buffers made once, one control step captured, run again and again."""
+"""A batch of worlds on a Warp device: buffers made once, a control step captured, run again and again."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import mujoco_warp as mjw
@@ -17,7 +17,9 @@ from nfpde.kernels import past, rows, states, whitening
 from nfpde.sim.past import speed_columns
 from nfpde.sim.simulator import LOSS_LIMIT
 from nfpde.sim.states import StateSpace
+from nfpde.sim.warp_arrays import arrays_of, fill, first
 from nfpde.sim.warp_effects import Staged, WarpEffects
+from nfpde.sim.warp_graphs import Graphs
 from nfpde.sim.warp_model import WarpModel
 
 Array = NDArray[np.float64]
@@ -117,25 +119,38 @@ class WarpBatch:
             # pairs of their own have a row per world, which the host writes; see WarpModel.stage
             self.derives = bool(model.derived) and z.all_pairs
             self._constants = mjw.make_data(model.model, nworld=z.nrow, nconmax=8, njmax=32) if self.derives else None
-        self._graph: Any = None
-        self._derivation: Any = None
+        self._control_dt = z.nsub * float(model.model.opt.timestep)
+        self._paired: tuple[int, int] | None = None
+        self._graphs = Graphs(device)
 
-    def stage(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32], windows: Windows) -> None:
-        """Copy parameters of M <= nrow vectors and n <= nwindow windows onto the device."""
+    def stage_parameters(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32]) -> None:
+        """Copy parameters of M <= nrow vectors onto the device, after they were given worlds, see `pair`.
+
+        The model's fields follow from them while the windows are still on their way.
+        """
+        fill(self._staged_rows, fields)
+        fill(self._staged.values, values)
+        fill(self._staged.active, active)
+        with wp.ScopedDevice(self.device):
+            self._graphs.capture("fields", self._set_fields)
+            with self._graphs.beside():
+                self._graphs.launch("fields")
+
+    def stage_windows(self, windows: Windows) -> None:
+        """Copy n <= nwindow windows onto the device."""
         z = self.sizes
         nx = self._space.nx
-        _fill(self._staged_rows, fields)
-        _fill(self._staged.values, values)
-        _fill(self._staged.active, active)
-        _fill(self._state, windows.state[:, : self._state.shape[1], :nx])
+        fill(self._state, windows.state[:, : self._state.shape[1], :nx])
         before = windows.history[:, windows.nhistory - z.nhistory :]
-        _fill(self._ctrl, np.concatenate([before, windows.ctrl], axis=1))
-        _fill(self._past, windows.past[:, windows.past.shape[1] - z.npast :, :nx])
-        self._control_dt = windows.control_dt
+        fill(self._ctrl, np.concatenate([before, windows.ctrl], axis=1))
+        fill(self._past, windows.past[:, windows.past.shape[1] - z.npast :, :nx])
 
     def pair_all(self, nvector: int, nwindow: int) -> None:
         """Give world i * nrow + j the vector j and the window i."""
         z = self.sizes
+        if self._paired == (nvector, nwindow):
+            return
+        self._paired = nvector, nwindow
         with wp.ScopedDevice(self.device):
             wp.launch(
                 rows._pair_worlds,
@@ -147,6 +162,7 @@ class WarpBatch:
 
     def pair(self, vector: NDArray[np.intp], window: NDArray[np.intp]) -> None:
         """Give every world its own vector and window, (R,) each with R <= nworld = nrow."""
+        self._paired = None
         for array, own in ((self._staged.world_row, vector), (self._world_window, window)):
             # worlds too many repeat the last pair
             array.assign(np.pad(own.astype(np.int32), (0, self.sizes.nworld - len(own)), mode="edge"))
@@ -155,31 +171,17 @@ class WarpBatch:
     def run(self, scale: Array) -> int:
         """Simulate all worlds through their windows; returns the bits of `mjw.OverflowType` that were set."""
         with wp.ScopedDevice(self.device):
+            graphs = self._graphs
             self._scale.assign(scale)
-            if self._graph is None:
-                # kernels are loaded by their first launch, which a capture cannot hold
-                self._begin()
-                self._control_step(1)
-                # what that allocated and gave back would stay beside what the graph allocates for itself
-                wp.synchronize_device(self.device)
-                with wp.ScopedCapture() as capture:
-                    self._control_step(self.sizes.nsub)
-                self._graph = capture.graph
-            self._begin()
-            if self._derivation is None and self._constants is not None:
-                with wp.ScopedCapture() as capture:
-                    self._model.derive(self.m, self._constants)
-                self._derivation = capture.graph
+            graphs.join()
+            graphs.capture("begin", self._begin)
+            # the kernels of one physics step are those of all
+            graphs.capture("step", partial(self._control_step, self.sizes.nsub), load=partial(self._control_step, 1))
+            graphs.capture("end", self._end)
+            graphs.launch("begin")
             for _ in range(self.sizes.horizon):
-                wp.capture_launch(self._graph)
-            self._overflow.zero_()
-            wp.launch(states._join_overflow, dim=self.sizes.nworld, inputs=[self.d.overflow], outputs=[self._overflow])
-            wp.launch(
-                loss_kernels._limit_loss,
-                dim=self.sizes.nworld,
-                inputs=[self._alive, LOSS_LIMIT],
-                outputs=[self._loss],
-            )
+                graphs.launch("step")
+            graphs.launch("end")
             return int(self._overflow.numpy()[0])
 
     def losses(self, nvector: int, nwindow: int) -> wp.array:
@@ -195,11 +197,11 @@ class WarpBatch:
 
     def predictions(self, count: int) -> NDArray[np.float32]:
         """Predicted states of the first worlds, (count, H, nx)."""
-        return np.asarray(_first(self._predicted, count), np.float32)
+        return np.asarray(first(self._predicted, count), np.float32)
 
     def residuals(self, count: int) -> Array:
         """Residuals of the first worlds, (count, C)."""
-        return np.asarray(_first(self.residual, count), np.float64)
+        return np.asarray(first(self.residual, count), np.float64)
 
     def poison(self) -> None:
         """Fill with NaN what a call sends and what it answers: what is not written cannot pass for an answer."""
@@ -225,17 +227,18 @@ class WarpBatch:
 
     def free(self) -> None:
         """Let go of all memory, whoever still holds the batch; it cannot run again."""
+        self._graphs.join()
         vars(self).clear()
 
-    def _begin(self) -> None:
-        z, d = self.sizes, self.d
+    def _set_fields(self) -> None:
         for name, columns in self._model.columns.items():
             if name not in self._model.step_fields and not (self.derives and name in (self._model.derived or ())):
                 self._gather(name, columns, self._row)
-        if self._derivation is not None:
-            wp.capture_launch(self._derivation)
-        elif self._constants is not None:
+        if self._constants is not None:
             self._model.derive(self.m, self._constants)
+
+    def _begin(self) -> None:
+        z, d = self.sizes, self.d
         self._model.place_static(self.m, d, self._static_geoms)
         self._effects.forget(self._memories)
         if self._effects.on_command:
@@ -315,6 +318,12 @@ class WarpBatch:
             )
         wp.launch(loss_kernels._count_step, dim=1, inputs=[], outputs=[self._step])
 
+    def _end(self) -> None:
+        nworld = self.sizes.nworld
+        self._overflow.zero_()
+        wp.launch(states._join_overflow, dim=nworld, inputs=[self.d.overflow], outputs=[self._overflow])
+        wp.launch(loss_kernels._limit_loss, dim=nworld, inputs=[self._alive, LOSS_LIMIT], outputs=[self._loss])
+
     def _store(self) -> None:
         """Keep the state of the simulation as it is now."""
         wp.launch(
@@ -373,28 +382,3 @@ def _flag_overflow(m: mjw.Model, d: mjw.Data) -> None:
         inputs=[d.nefc, d.nacon, d.ncollision, d.njmax, d.naconmax, int(_O.NEFC), int(_O.NARROWPHASE)],
         outputs=[d.overflow],
     )
-
-
-def arrays_of(thing: Any) -> list[wp.array]:
-    """All arrays of a dataclass of Warp's, nested ones included."""
-    found = []
-    for f in dataclasses.fields(thing):
-        value = getattr(thing, f.name)
-        if isinstance(value, wp.array):
-            found.append(value)
-        elif dataclasses.is_dataclass(value):
-            found += arrays_of(value)
-    return found
-
-
-def _first(array: wp.array, count: int) -> NDArray[Any]:
-    """The first rows of an array, without sending the rest."""
-    rows: Any = array[:count]
-    return np.asarray(rows.numpy())
-
-
-def _fill(array: wp.array, values: NDArray[Any]) -> None:
-    """Copy values into the first rows of an array; no world reads the rest."""
-    if values.size:
-        rows: Any = array[: len(values)]
-        rows.assign(np.ascontiguousarray(values))

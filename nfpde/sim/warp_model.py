@@ -34,6 +34,9 @@ UNUSED = frozenset(
 DERIVED = frozenset({"body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0"})
 """Constants that MuJoCo Warp derives on the device, for all rows at once."""
 
+_BOUNDS = frozenset({"geom_size", "geom_aabb", "geom_rbound"})
+"""What MuJoCo Warp computes anew from sizes together with the constants, to within rounding."""
+
 _PICTURES = ("cam_", "light_")
 """Fields of cameras and lights, which move nothing."""
 
@@ -131,7 +134,7 @@ class WarpModel:
             array._is_batched = True  # as MuJoCo Warp marks its own
             setattr(owner, attribute, array)
             views[name] = _floats(array, get_field(self.model, name).size)
-        for name in DERIVED - {*self.fields}:  # `derive` writes them as well
+        for name in (DERIVED | _BOUNDS) - {*self.fields}:  # `derive` writes them as well
             setattr(m, name, wp.clone(getattr(m, name)))
         return m, views
 
