@@ -189,10 +189,13 @@ def _row(
     seconds, found = _seconds(lambda: sim.losses(xi, chosen, scale), repeats)
     taken, used = sim.usage(), used_bytes(sim, free)
     sim.release()
-    bare, _ = _seconds(bare_stepping(sim, windows, taken.nworld), repeats)
+    at_once = chosen[np.arange(max(1, taken.nworld // vectors))]
+    bare, _ = _seconds(bare_stepping(sim, vectors, at_once, xi), repeats)
+    nominal, _ = _seconds(bare_stepping(sim, vectors, at_once), repeats)
     on_cpu, expected = _seconds(lambda: cpu.losses(xi, fewer, scale), min(3, repeats))
     apart = _apart(found, expected, len(windows))
-    rate, bare_rate = vectors * len(chosen) / seconds, taken.nworld / bare
+    rate, bare_rate = vectors * len(chosen) / seconds, vectors * len(at_once) / bare
+    nominal_rate = vectors * len(at_once) / nominal
     return {
         "robot": robot.name,
         "pairs": vectors * len(chosen),
@@ -200,6 +203,8 @@ def _row(
         "evaluations_per_second": rate,
         "bare_per_second": bare_rate,
         "share_of_bare": rate / bare_rate,
+        "nominal_per_second": nominal_rate,
+        "share_of_nominal": rate / nominal_rate,
         "cpu_per_second": vectors * len(fewer) / on_cpu,
         "predicted_bytes": taken.nbytes,
         "measured_bytes": used,
@@ -236,7 +241,7 @@ def _seconds(way: Callable[[], Any], repeats: int) -> tuple[float, Any]:
 
 def _verdicts(rows: list[dict[str, Any]]) -> list[str]:
     """Whether the sizes that were measured are as fast as wanted, linear, and as large as predicted."""
-    lines = [f"Wanted from {MANY} worlds at once on: a share of at least {SHARE}, time proportional to the pairs,"]
+    lines = [f"Wanted from {MANY} worlds at once on: a share of at least {SHARE}, time at most proportional to pairs,"]
     lines += [f"no more memory than predicted ({ROOM:g} times), and all but {SOME:.1%} of the losses, wherever in the"]
     lines += [f"batch they are, within {APART:.0%} of double precision.", ""]
     for name in dict.fromkeys(row["robot"] for row in rows):
@@ -245,15 +250,17 @@ def _verdicts(rows: list[dict[str, Any]]) -> list[str]:
             lines.append(f"- {name}: no size with {MANY} worlds at once was measured")
             continue
         share = min(row["share_of_bare"] for row in own)
+        nominal = min(row["share_of_nominal"] for row in own)
         rates = [row["evaluations_per_second"] for row in own]
-        linear = min(rates) / max(rates)
+        # of a larger size, from the fastest smaller one: small ones leave a part of the GPU idle
+        linear = min(rate / max(rates[: i + 1]) for i, rate in enumerate(rates))
         known = [row["measured_bytes"] / row["predicted_bytes"] for row in own if row["measured_bytes"] is not None]
         memory = f"memory used / predicted {max(known):.2f}" if known else "memory not measured"
         apart = max(row["share_apart"] for row in own)
         passed = share >= SHARE and linear >= SHARE and max(known, default=0.0) <= ROOM and apart <= SOME
         lines.append(
-            f"- {name}: {'pass' if passed else 'FAIL'}; least share {share:.2f}, slowest / fastest {linear:.2f}, "
-            f"{memory}, {apart:.2%} beyond {APART:.0%}"
+            f"- {name}: {'pass' if passed else 'FAIL'}; least share {share:.2f} ({nominal:.2f} of one "
+            f"model), larger / smaller sizes' rate {linear:.2f}, {memory}, {apart:.2%} beyond {APART:.0%}"
         )
     return lines
 
@@ -262,7 +269,8 @@ def _line(row: dict[str, Any]) -> str:
     memory = [f"{b / 2**30:.2f}" if b is not None else "-" for b in (row["predicted_bytes"], row["measured_bytes"])]
     return (
         f"| {row['robot']} | {row['pairs']} | {row['worlds_at_once']} | {row['evaluations_per_second']:.0f} | "
-        f"{row['bare_per_second']:.0f} | {row['share_of_bare']:.2f} | {row['cpu_per_second']:.0f} | "
+        f"{row['bare_per_second']:.0f} | {row['share_of_bare']:.2f} | {row['nominal_per_second']:.0f} | "
+        f"{row['share_of_nominal']:.2f} | {row['cpu_per_second']:.0f} | "
         f"{row['evaluations_per_second'] / row['cpu_per_second']:.1f} | {memory[0]} | {memory[1]} | "
         f"{row['median_apart']:.1e} |"
     )
@@ -283,12 +291,14 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             "",
             "One evaluation: set a recorded state and command, take one control step (4 or 5 physics steps), add up",
             "the loss; wall clock, from parameters in the host's memory to losses there. Bare: MuJoCo Warp's step",
-            "alone, with as many worlds at once, one model, captured. CPU: double precision on all cores. Apart: of",
-            "the losses from those of the CPU, relatively.",
+            "alone, captured, of the same simulations: as many worlds at once, states, commands and parameters that",
+            "are on the device already. One model: the same with the nominal parameters in all worlds, for which the",
+            "solver iterates less often than for random ones. CPU: double precision on all cores. Apart: of the losses",
+            "from those of the CPU, relatively.",
             "",
-            "| robot | pairs | worlds at once | losses/s | bare/s | share | CPU losses/s | times CPU | GiB predicted "
-            "| GiB used | median apart |",
-            "|---|---|---|---|---|---|---|---|---|---|---|",
+            "| robot | pairs | worlds at once | losses/s | bare/s | share | one model/s | share | CPU losses/s "
+            "| times CPU | GiB predicted | GiB used | median apart |",
+            "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
             *map(_line, rows),
             "",
             *_verdicts(rows),

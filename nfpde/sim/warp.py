@@ -162,9 +162,9 @@ class WarpSimulator(Simulator):
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
         found: Any = self.losses_on_device(xi, windows, scale)
-        # as it lies in memory: turning it is left to the host, which need not move anything for it
+        # as it lies in memory: to turn it, the host moves nothing
         fetched = found.numpy() if found.is_contiguous else found.transpose().numpy().T
-        return np.array(fetched) if self.device.is_cpu else fetched  # there it is the batch's own memory
+        return np.array(fetched) if self.device.is_cpu else fetched  # there it is the batch's memory
 
     def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> wp.array:
         """See `Simulator.losses_on_device`: the batch's own memory where all pairs run at once."""
@@ -266,7 +266,7 @@ class WarpSimulator(Simulator):
             tiles = list(product(rows, columns))
             left[:1] = tiles
             for vectors, chosen in tiles:
-                part = windows[np.arange(chosen.start, chosen.stop)]
+                part = windows if chosen == slice(0, len(windows)) else windows[np.arange(chosen.start, chosen.stop)]
                 batch = self._run(sizes, xi[vectors], part, scale=scale)
                 if batch is None:
                     break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -9,24 +10,36 @@ from typing import Any
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_sizes import buffer_sizes
 
+Array = NDArray[np.float64]
 
-def bare_stepping(simulator: WarpSimulator, windows: Windows, nworld: int) -> Callable[[], None]:
-    """What takes the physics steps of one control step in `nworld` worlds, captured once, from recorded states.
 
-    One model for all worlds, buffers of the simulator's sizes. The states are put back before each call, on the
-    device, so that every call does the same work.
+def bare_stepping(
+    simulator: WarpSimulator, nvector: int, windows: Windows, xi: Array | None = None
+) -> Callable[[], None]:
+    """What takes the physics steps of one control step in nvector x n worlds, captured once, from recorded states.
+
+    The states are put back before each call, on the device, so that every call does the same work.
+
+    Args:
+        simulator: whose model, device and sizes of buffers it has.
+        nvector: worlds that begin at each window.
+        windows: n windows.
+        xi: parameter vectors (nvector, D), with which these are the simulations of `losses`, in the same order; by
+            default all worlds share the nominal model. How often the solver iterates depends on the model.
     """
     device, model = simulator.device, simulator.model
     nsub = simulator.substeps(windows.control_dt)
     nconmax, njmax = buffer_sizes(model, windows)
-    chosen = np.arange(nworld) % len(windows)
+    nworld = nvector * len(windows)
+    chosen = np.repeat(np.arange(len(windows)), nvector)
     with wp.ScopedDevice(device):
-        m = mjw.put_model(model)
+        m = mjw.put_model(model) if xi is None else _own_rows(simulator, xi, nworld)
         m.opt.warn_overflow = 0
         d = mjw.make_data(model, nworld=nworld, nconmax=nconmax, njmax=njmax)
         qpos = wp.array(windows.start[chosen, : model.nq], dtype=float)
@@ -46,6 +59,18 @@ def bare_stepping(simulator: WarpSimulator, windows: Windows, nworld: int) -> Ca
             steps()
     # the graph keeps none of the memory that it works on
     return partial(_replay, capture.graph, device, (m, d, qpos, qvel))
+
+
+def _own_rows(simulator: WarpSimulator, xi: Array, nworld: int) -> mjw.Model:
+    """The model as MuJoCo Warp steps it with a row of its own for each vector."""
+    varied = simulator._model
+    m, fields = varied.put(len(xi), nworld)
+    m.callback = copy.copy(m.callback)
+    m.callback.passive = None  # a batch's, that looks for overflows
+    rows = varied.stage(xi, derive=False)
+    for name, columns in varied.columns.items():
+        fields[name].assign(np.ascontiguousarray(rows[:, columns]))
+    return m
 
 
 def _replay(graph: Any, device: wp.Device, kept: tuple[Any, ...]) -> None:

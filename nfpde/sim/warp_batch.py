@@ -18,6 +18,7 @@ from nfpde.sim.past import speed_columns
 from nfpde.sim.simulator import LOSS_LIMIT
 from nfpde.sim.states import StateSpace
 from nfpde.sim.warp_arrays import arrays_of, fill, first
+from nfpde.sim.warp_constants import WarpConstants
 from nfpde.sim.warp_effects import Staged, WarpEffects
 from nfpde.sim.warp_graphs import Graphs
 from nfpde.sim.warp_model import WarpModel
@@ -118,7 +119,7 @@ class WarpBatch:
             self._memories = effects.memories(self._elements, z.nworld)
             # pairs of their own have a row per world, which the host writes; see WarpModel.stage
             self.derives = bool(model.derived) and z.all_pairs
-            self._constants = mjw.make_data(model.model, nworld=z.nrow, nconmax=8, njmax=32) if self.derives else None
+            self._constants = WarpConstants(model.model, z.nrow) if self.derives else None
         self._control_dt = z.nsub * float(model.model.opt.timestep)
         self._paired: tuple[int, int] | None = None
         self._graphs = Graphs(device)
@@ -221,8 +222,8 @@ class WarpBatch:
     def nbytes(self) -> int:
         """Bytes of all its arrays; the solver's passing buffers come on top."""
         own = [v for v in vars(self).values() if isinstance(v, wp.array)]
-        parts = [self.d, self._staged] if self._constants is None else [self.d, self._staged, self._constants]
-        arrays = [*own, *self._fields.values(), *self._memories.values(), *(a for p in parts for a in arrays_of(p))]
+        arrays = [*own, *self._fields.values(), *self._memories.values(), *arrays_of(self.d), *arrays_of(self._staged)]
+        arrays += self._constants.arrays() if self._constants is not None else []
         return sum(a.capacity for a in arrays)
 
     def free(self) -> None:
@@ -235,7 +236,7 @@ class WarpBatch:
             if name not in self._model.step_fields and not (self.derives and name in (self._model.derived or ())):
                 self._gather(name, columns, self._row)
         if self._constants is not None:
-            self._model.derive(self.m, self._constants)
+            self._constants.derive(self.m)
 
     def _begin(self) -> None:
         z, d = self.sizes, self.d

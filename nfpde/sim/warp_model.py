@@ -19,6 +19,7 @@ from nfpde.kernels import rows as kernels
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.fields import get_field
 from nfpde.sim.model import model_hash
+from nfpde.sim.warp_constants import DERIVED, derivable
 from nfpde.sim.writer import ModelWriter
 
 Array = NDArray[np.float64]
@@ -30,12 +31,6 @@ UNUSED = frozenset(
     }
 )
 """Constants that mj_setConst derives and MuJoCo Warp does not read, or derives itself."""
-
-DERIVED = frozenset({"body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0"})
-"""Constants that MuJoCo Warp derives on the device, for all rows at once."""
-
-_BOUNDS = frozenset({"geom_size", "geom_aabb", "geom_rbound"})
-"""What MuJoCo Warp computes anew from sizes together with the constants, to within rounding."""
 
 _PICTURES = ("cam_", "light_")
 """Fields of cameras and lights, which move nothing."""
@@ -134,7 +129,7 @@ class WarpModel:
             array._is_batched = True  # as MuJoCo Warp marks its own
             setattr(owner, attribute, array)
             views[name] = _floats(array, get_field(self.model, name).size)
-        for name in (DERIVED | _BOUNDS) - {*self.fields}:  # `derive` writes them as well
+        for name in DERIVED - {*self.fields}:  # deriving constants writes them as well
             setattr(m, name, wp.clone(getattr(m, name)))
         return m, views
 
@@ -142,10 +137,6 @@ class WarpModel:
         """Other fields of a model of `put`, as (rows, numbers) of floats."""
         others = [n for n in names if n not in self.fields]
         return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in others}
-
-    def derive(self, m: mjw.Model, d: mjw.Data) -> None:
-        """Compute the fields of `derived` from the others, of all rows; `d` has a world for each, and is spoiled."""
-        mjw.set_const(m, d, groups=mjw.SetConstGroup.FIXED | mjw.SetConstGroup.INERT0, restore=False)
 
     def place_static(self, m: mjw.Model, d: mjw.Data, geoms: wp.array) -> None:
         """Put geoms of the world where each world's own model has them."""
@@ -160,7 +151,7 @@ class WarpModel:
 
     def _derived_on_device(self, space: ParameterSpace) -> frozenset[str] | None:
         """Fields that the device derives from those of `written_rows`; None where the host must write all of them."""
-        if self.writer.nbase < len(space):  # effects may write anything
+        if self.writer.nbase < len(space) or not derivable(self.model):  # effects may write anything
             return None
         low = self.writer.written_rows(space.low[None])
         rest = {*self.fields} - low.keys() - {*self._fixed}
