@@ -50,7 +50,7 @@ APART, SOME = 0.01, 1e-3
 """How far a loss may be from double precision, relatively, but for such a part of them: rounding makes some 1e-5, and
 2e-4 in one of a hundred; a foot that meets the ground one step later makes more."""
 
-LONG = 20.0
+LONG = 8.0
 """Seconds after which a call is not repeated again, if it was three times."""
 
 MEASURE = """
@@ -189,7 +189,7 @@ def _row(
     seconds, found = _seconds(lambda: sim.losses(xi, chosen, scale), repeats)
     taken, used = sim.usage(), used_bytes(sim, free)
     sim.release()
-    at_once = chosen[np.arange(max(1, taken.nworld // vectors))]
+    at_once = chosen[np.arange(max(1, taken.nworld // vectors)) % len(chosen)]
     bare, _ = _seconds(bare_stepping(sim, vectors, at_once, xi), repeats)
     nominal, _ = _seconds(bare_stepping(sim, vectors, at_once), repeats)
     on_cpu, expected = _seconds(lambda: cpu.losses(xi, fewer, scale), min(3, repeats))

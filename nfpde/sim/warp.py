@@ -162,7 +162,6 @@ class WarpSimulator(Simulator):
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
         found: Any = self.losses_on_device(xi, windows, scale)
-        # as it lies in memory: to turn it, the host moves nothing
         fetched = found.numpy() if found.is_contiguous else found.transpose().numpy().T
         return np.array(fetched) if self.device.is_cpu else fetched  # there it is the batch's memory
 
@@ -243,7 +242,8 @@ class WarpSimulator(Simulator):
             for part in parts:
                 vectors, v = np.unique(vector[part], return_inverse=True)
                 chosen, w = np.unique(window[part], return_inverse=True)
-                batch = self._run(sizes, xi[vectors], windows[chosen], scale=scale, pairs=(v, w))
+                some = windows if len(chosen) == len(windows) else windows[chosen]
+                batch = self._run(sizes, xi[vectors], some, scale=scale, pairs=(v, w))
                 if batch is None:
                     break
                 yield part, window[part], batch

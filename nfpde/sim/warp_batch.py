@@ -107,6 +107,7 @@ class WarpBatch:
             self.residual = wp.zeros((z.nworld, channels), dtype=wp.float64)
             self.white = wp.zeros((z.nworld, channels), dtype=wp.float64)
             self._scale = wp.ones(channels or space.ndiff, dtype=wp.float64)
+            self._known_scale = np.ones(channels or space.ndiff)
             starts = np.zeros(nx, np.int32)
             starts[[q for q, _ in space.quaternions]] = 1
             self._quaternion = wp.array(starts, dtype=int)
@@ -122,6 +123,7 @@ class WarpBatch:
             self._constants = WarpConstants(model.model, z.nrow) if self.derives else None
         self._control_dt = z.nsub * float(model.model.opt.timestep)
         self._paired: tuple[int, int] | None = None
+        self._windows: Windows | None = None
         self._graphs = Graphs(device)
 
     def stage_parameters(self, fields: NDArray[np.float32], values: Array, active: NDArray[np.int32]) -> None:
@@ -130,15 +132,19 @@ class WarpBatch:
         The model's fields follow from them while the windows are still on their way.
         """
         fill(self._staged_rows, fields)
-        fill(self._staged.values, values)
-        fill(self._staged.active, active)
+        if self._effects.effects:
+            fill(self._staged.values, values)
+            fill(self._staged.active, active)
         with wp.ScopedDevice(self.device):
             self._graphs.capture("fields", self._set_fields)
             with self._graphs.beside():
                 self._graphs.launch("fields")
 
     def stage_windows(self, windows: Windows) -> None:
-        """Copy n <= nwindow windows onto the device."""
+        """Copy n <= nwindow windows onto the device, unless they are those that it has."""
+        if windows is self._windows:
+            return
+        self._windows = windows
         z = self.sizes
         nx = self._space.nx
         fill(self._state, windows.state[:, : self._state.shape[1], :nx])
@@ -173,7 +179,9 @@ class WarpBatch:
         """Simulate all worlds through their windows; returns the bits of `mjw.OverflowType` that were set."""
         with wp.ScopedDevice(self.device):
             graphs = self._graphs
-            self._scale.assign(scale)
+            if not np.array_equal(scale, self._known_scale):
+                self._scale.assign(scale)
+                self._known_scale = np.array(scale)
             graphs.join()
             graphs.capture("begin", self._begin)
             # the kernels of one physics step are those of all
@@ -206,6 +214,7 @@ class WarpBatch:
 
     def poison(self) -> None:
         """Fill with NaN what a call sends and what it answers: what is not written cannot pass for an answer."""
+        self._windows = None
         for array in (
             *(self._staged_rows, self._staged.values, self._state, self._past, self._ctrl),
             self._predicted,

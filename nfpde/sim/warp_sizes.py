@@ -119,6 +119,8 @@ def power_of_two(n: int) -> int:
 def cut(whole: slice, most: int) -> list[slice]:
     """Cut a range into near-equal pieces of at most `most`."""
     pieces = -(-(whole.stop - whole.start) // most)
+    if pieces == 1:
+        return [whole]
     ends = np.linspace(whole.start, whole.stop, pieces + 1).round().astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
