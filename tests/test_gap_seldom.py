@@ -166,7 +166,8 @@ class Rerun(Search):
     def _run(self, *, early):
         self.report("with" if early is None else "without")
         accepted: Any = [SimpleNamespace(effect=self.candidates[0][0])]
-        return Found(ANYTHING, ANYTHING, self.select(ANYTHING), ANYTHING, accepted, early is None)
+        near: Any = SimpleNamespace(recordings=ANYTHING)
+        return Found(ANYTHING, near, self.select(ANYTHING), ANYTHING, accepted, early is None)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +179,7 @@ def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, r
     said: list[str] = []
     late: Any = [(effect(name, "bend", **values), np.zeros((1, 1)))]
     select: Any = lambda stage: SimpleNamespace(steps=7)  # noqa: E731
-    found = Rerun(ANYTHING, ANYTHING, late, np.zeros((1, 0)), 8, 0, select, said.append).run()
+    _, found = Rerun(ANYTHING, ANYTHING, late, np.zeros((1, 0)), 8, 0, select, said.append).run()
     assert said == runs
     assert found.early is (len(runs) == 1)
     assert found.selection.steps == 7 * len(runs)

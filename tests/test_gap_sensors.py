@@ -34,7 +34,7 @@ def test_the_grain_of_an_encoder_is_found(rows):
         speed = rng.normal(size=(rows, 2))
         for qpos, wanted in ((steps, grain), (read, np.zeros(2))):
             data = Dataset([Episode("0", 0.01 * np.arange(rows), qpos, speed, np.zeros((rows, model.nu)))])
-            found = encoder_grain(model, data.windows(1))
+            found = encoder_grain(model, data.windows(1).start)
             assert found == pytest.approx([*wanted, 0.0, 0.0], rel=1e-6)
 
 
@@ -42,7 +42,7 @@ def test_a_reading_that_never_changes_has_no_grain():
     """A robot that lies still is read with one number."""
     still = np.full((50, 2), 0.3)
     data = Dataset([Episode("0", 0.01 * np.arange(50), still, np.zeros((50, 2)), np.zeros((50, nominal().nu)))])
-    assert (encoder_grain(nominal(), data.windows(1)) == 0).all()
+    assert (encoder_grain(nominal(), data.windows(1).start) == 0).all()
 
 
 def test_noise_at_rest_is_that_of_the_grain():

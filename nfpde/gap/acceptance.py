@@ -29,6 +29,10 @@ else is at work."""
 NOISE_SEED = 0
 """Of the draws of noise in which a gap may disappear."""
 
+NOISE_TIMES = 3.0
+"""What noise alone gives, times this, is what a candidate must gain near the noise floor: draws differ by a factor of
+two where contacts multiply noise, and the noise of the sensors, whose square counts, is known to a tenth or two."""
+
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
@@ -64,7 +68,7 @@ class Acceptance(Rounds):
         def stands(trial: Trial) -> bool:
             if doubted is None:
                 return True
-            return not self.given_by_noise(trial, current, doubted, gains[trial] * (1 - CLOSED))
+            return not self.given_by_noise(trial, current, doubted, gains[trial] / NOISE_TIMES)
 
         best = next(filter(stands, gains), None)
         if best is None:

@@ -17,17 +17,23 @@ from nfpde.gap.recordings import Recordings, blocks_of
 LENGTHS = 3
 """Lengths of short windows, shortest first: the shortest of the horizons at which long windows are compared."""
 
-MOST = 400
-"""Windows of one control step in each half, at most; of h steps fewer by the root of h."""
+MOST, EVERY = 400, 3000
+"""Windows of one control step in each half, at most; of h steps fewer by the root of h. So many find what is worth a
+name in most recordings; those of a fault that noise nearly hides take all there are."""
 
 
-def brief(recordings: Recordings) -> list[Recordings]:
-    """The same recordings in short windows, shortest first; none where no horizon is shorter than the windows."""
+def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
+    """The same recordings in short windows, shortest first; none where no horizon is shorter than the windows.
+
+    Args:
+        recordings: In the longest windows.
+        most: Windows of one control step in each half.
+    """
     found = []
-    for count in range(1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
-        horizons = recordings.horizons[:count]
-        most = max(1, round(MOST / horizons[-1] ** 0.5))
-        fit, held = (shorter(half, horizons[-1], most) for half in (recordings.fit, recordings.held))
+    for length in range(1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
+        horizons = recordings.horizons[:length]
+        count = max(1, round(most / horizons[-1] ** 0.5))
+        fit, held = (shorter(half, horizons[-1], count) for half in (recordings.fit, recordings.held))
         found.append(replace(recordings, fit=fit, held=held, horizons=horizons, block=blocks_of(held)))
     return found
 

@@ -95,14 +95,10 @@ def diagnose_gap(
     dataset = without_error(mjmodel, dataset, error)
     search = replace(search, dataset=dataset)
     check_fit(start, dataset, search.cut(), guesses[0])
-    found = search.run()
+    stage, found = search.run()
     report("where, and what is left")
-    stage, final, accepted, selection = found.near, found.final, found.accepted, found.selection
-    recordings = found.recordings
-    if stage.recordings is not recordings:
-        stage, found = search.over_longest(found)
-        final, accepted, selection = found.final, found.accepted, found.selection
-    sigma = sensor_noise(final.fit.replay, final.fit.xi, recordings.rows)
+    final, accepted, selection = found.final, found.accepted, found.selection
+    sigma = sensor_noise(final.fit.replay, final.fit.xi, found.recordings.rows) / found.near.misjudged
     draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near

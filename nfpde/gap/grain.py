@@ -23,9 +23,14 @@ _PARTS, _WHOLE = 3, 1e-2
 them, in shortest steps, every step is."""
 
 
-def encoder_grain(model: mujoco.MjModel, rows: Windows) -> Array:
-    """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one."""
-    grain, read = np.zeros(2 * model.nv), rows.state[:, 0]
+def encoder_grain(model: mujoco.MjModel, read: Array) -> Array:
+    """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one.
+
+    Args:
+        model: Whose joints they are.
+        read: States as they were recorded (n, nq+nv).
+    """
+    grain = np.zeros(2 * model.nv)
     for dof, joint in enumerate(model.dof_jntid):
         if is_axis(model, int(joint)):
             grain[dof] = step_of(read[:, model.jnt_qposadr[joint]])

@@ -43,6 +43,7 @@ class Recordings:
     block: of every held-out window, its group for standard errors (held,)
     held_out: names of the held-out episodes, see `HeldOut.names`
     rows: held-out single steps in a row, for the sensor noise
+    longest: held-out windows as long as any, where these may be shorter
     """
 
     fit: Windows
@@ -51,6 +52,7 @@ class Recordings:
     block: NDArray[np.intp]
     held_out: tuple[str, ...]
     rows: Windows
+    longest: Windows
 
 
 def joined(first: Windows, second: Windows) -> Windows:
@@ -100,7 +102,7 @@ def cut_recordings(
     singles = dataset.windows(1, history=history, past=history)
     inside = np.isin(singles.episode, second.episode) & held.late(singles)
     rows = singles[np.flatnonzero(inside)[: 20 * windows]]
-    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows)
+    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second)
 
 
 def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Windows, Windows]:

@@ -60,7 +60,7 @@ def resting_error(
         nthread: Threads; 0 takes all cores this process may use.
         capped: See `first_fit`.
     """
-    grain = np.where(resting(model, recordings.rows), encoder_grain(model, recordings.rows)[: model.nv], 0.0)
+    grain = np.where(resting(model, recordings.rows), encoder_grain(model, recordings.rows.start)[: model.nv], 0.0)
     dofs = np.flatnonzero(grain)
     error = np.zeros(model.nv)
     if not len(dofs):

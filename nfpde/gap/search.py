@@ -12,7 +12,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
-from nfpde.gap.brief import brief
+from nfpde.gap.brief import EVERY, MOST, brief
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
 from nfpde.gap.halves import HeldOut, alike_halves
@@ -23,6 +23,9 @@ from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, move
 from nfpde.gap.trial import Trial
 
 Array = NDArray[np.float64]
+
+FAR_MORE = 1.5
+"""Times as many windows as were looked at, from which it is worth to look again."""
 
 QUIETER = 0.5
 """Share of the noise that was believed, below which a sensor's is taken for misjudged, and what else is there is asked
@@ -66,6 +69,7 @@ class Search:
     seed: decides which episodes are held out, and all draws
     select: the selection of a stage
     report: called with what is being done
+    most: single control steps of each half, at most, where contacts are
     """
 
     start: Replay
@@ -76,6 +80,7 @@ class Search:
     seed: int
     select: Callable[[Stage], Selection]
     report: Callable[[str], None]
+    most: int = MOST
 
     @property
     def touches(self) -> bool:
@@ -92,7 +97,35 @@ class Search:
         history, rows = _history(self.candidates, self.dataset.control_dt)
         return cut_recordings(self.dataset, history, self.seed, self.windows, rows if lead is None else lead, held)
 
-    def run(self) -> Found:
+    def run(self) -> tuple[Stage, Found]:
+        """What was found, and the stage on which its gap is measured.
+
+        Beside contacts some of the short windows are enough for most faults. Where they show nothing, and noise may
+        leave as much as there is, all of them are looked at.
+        """
+        stage, found = self._to_the_end()
+        if found.accepted or not self._has_more(found.recordings) or not found.selection.at_floor(found.final):
+            return stage, found
+        self.report("nothing so far: all short windows")
+        again, steps = replace(self, most=EVERY)._to_the_end(), found.selection.steps
+        again[1].selection.steps += steps
+        return again
+
+    def _has_more(self, recordings: Recordings) -> bool:
+        """Whether there are far more single steps than were looked at."""
+        if not self.touches or not brief(recordings):
+            return False
+        used, every = (brief(recordings, most)[0] for most in (self.most, EVERY))
+        return len(every.fit) + len(every.held) > FAR_MORE * (len(used.fit) + len(used.held))
+
+    def _to_the_end(self) -> tuple[Stage, Found]:
+        """Search on short windows and long ones."""
+        found = self._with_beginnings()
+        if found.near.recordings is found.recordings:
+            return found.near, found
+        return self.over_longest(found)
+
+    def _with_beginnings(self) -> Found:
         """Search; windows at the beginning of episodes count where they show most.
 
         What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
@@ -136,7 +169,7 @@ class Search:
             self.report("noise of the sensors")
             if near is not first:  # the parameters had been stuck
                 base, court = moved_over(near.base, court, lengths[0])
-            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole)
+            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole, before=near)
             if not self._hid(near, first, selection, final):
                 break
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
@@ -213,11 +246,11 @@ class Search:
         fit = before.base.fit
         guesses = np.vstack([self.guesses, fit.xi])
         base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma)
-        return in_noise(base, court, longer, self.seed, known)
+        return in_noise(base, court, longer, self.seed, known, before=before)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
-        return (brief(recordings) if self.touches else []) or [recordings]
+        return (brief(recordings, self.most) if self.touches else []) or [recordings]
 
 
 def _remembers(accepted: Sequence[Accepted]) -> bool:

@@ -43,7 +43,7 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
         xi: Its free parameters (D,).
         rows: Windows of one control step, many of them in succession.
     """
-    grain = encoder_grain(replay.sim.model, rows) / np.sqrt(12.0)
+    grain = encoder_grain(replay.sim.model, rows.start) / np.sqrt(12.0)
     return np.maximum(_varying_noise(replay, xi, rows), grain)
 
 

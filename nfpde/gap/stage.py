@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.chart import evenly
-from nfpde.gap.directions import likeliest_directions, noise_covariance
+from nfpde.gap.erring import misjudged
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm, near_floor
-from nfpde.gap.loud import loudness
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter, precision_of
+from nfpde.gap.quiet import quietened
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
@@ -38,6 +38,7 @@ class Stage:
     court: fits and judges
     yardstick: measures the gap
     sigma: noise of the sensors (2 nv,)
+    misjudged: what is found of it, as a share, before that is made up for (2 nv,)
     """
 
     recordings: Recordings
@@ -46,6 +47,7 @@ class Stage:
     court: Court
     yardstick: Yardstick
     sigma: Array
+    misjudged: Array | float = 1.0
 
     def at(self, base: Trial) -> Stage:
         """The same windows with another fit of the parameters alone, by which gaps are counted from now on."""
@@ -164,7 +166,14 @@ def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> boo
 
 
 def in_noise(
-    base: Trial, court: Court, recordings: Recordings, seed: int, known: Fit | None = None, *, whole: bool = False
+    base: Trial,
+    court: Court,
+    recordings: Recordings,
+    seed: int,
+    known: Fit | None = None,
+    *,
+    whole: bool = False,
+    before: Stage | None = None,
 ) -> Stage:
     """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
 
@@ -175,32 +184,24 @@ def in_noise(
         seed: Of the draws of noise.
         known: A model that knows more than the base does: where contacts are, what a model lacks looks like noise.
         whole: Whether noise is followed in all its directions: what that takes grows with the square of the channels.
+        before: An earlier stage, that knows by how much the noise of the sensors is misjudged.
     """
     known = base.fit if known is None else known
     sigma = sensor_noise(known.replay, known.xi, recordings.rows)
-    fit, held = (noise_of(known, sigma, half, seed) for half in (court.fitter, court.held))
+    share = 1.0 if before is None else before.misjudged
+    if before is None and court.capped:
+        share = misjudged(known.replay, known.xi, recordings.longest, sigma, seed)
+    sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
-    loud = loudness(np.concatenate([fit, held], axis=1), left, court.floor)
-    if whole:
-        parts = [
-            noise_covariance(known.replay, known.xi, half.windows, half.horizons, sigma)
-            for half in (court.fitter, court.held)
-        ]
-        loud = likeliest_directions(np.concatenate(parts), left, court.floor, loud)
-    fitter = replace(court.fitter, noise=loud.some(slice(None, fit.shape[1])))
-    other = replace(court.held, noise=loud.some(slice(fit.shape[1], None)))
-    fit, held = fitter.quieten(fit), other.quieten(held)
+    court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)
+    fitter, moved = court.fitter, base.fit.replay.moved(recordings.fit, recordings.horizons)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
-    moved = found.replay.moved(recordings.fit, recordings.horizons)
-    floor = floor_of(found.residuals, moved)
-    quiet = learn_scatter(fit.reshape(-1, *floor.shape), 0, floor)
-    court = replace(court, fitter=fitter, held=other, floor=floor, quiet=quiet)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
     base = court.judge(None, found)
-    nominal = other.residuals_at(found.replay, court.nominal[None])[0]
-    yardstick = Yardstick.of(held, base.held, court.capped, precision_of(moved))
-    return Stage(recordings, nominal, base, court, yardstick, sigma)
+    nominal = court.held.residuals_at(found.replay, court.nominal[None])[0]
+    yardstick = Yardstick.of(noise, base.held, court.capped, precision_of(moved))
+    return Stage(recordings, nominal, base, court, yardstick, sigma, share)
 
 
 def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:
