@@ -144,13 +144,13 @@ class WarpBatch:
         """Copy n <= nwindow windows onto the device, unless they are those that it has."""
         if windows is self._windows:
             return
-        self._windows = windows
         z = self.sizes
         nx = self._space.nx
         fill(self._state, windows.state[:, : self._state.shape[1], :nx])
         before = windows.history[:, windows.nhistory - z.nhistory :]
         fill(self._ctrl, np.concatenate([before, windows.ctrl], axis=1))
         fill(self._past, windows.past[:, windows.past.shape[1] - z.npast :, :nx])
+        self._windows = windows
 
     def pair_all(self, nvector: int, nwindow: int) -> None:
         """Give world i * nrow + j the vector j and the window i."""
