@@ -18,7 +18,7 @@ from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on
 from nfpde.sim.warp import WarpSimulator
-from nfpde.sim.warp_sizes import Counter, passing_bytes
+from nfpde.sim.warp_memory import Counter, passing_bytes
 from tests.device import WARP
 from tests.models import BALL, DOUBLE_PENDULUM, PENDULUM, load, make_windows, record, with_arrays
 
@@ -249,13 +249,13 @@ def test_memory_of_a_world_is_its_own():
     for nvector in (2, 60, 2):
         sim = arm()
         sim.losses(vectors(sim, nvector), windows, np.ones(4))
-        sizes.append(sim.usage().nbytes / sim.usage().nworld)
+        kind = next(iter(sim._batches))
+        sizes.append(sim._footprint(kind))
     assert sizes[0] == sizes[1] == sizes[2]
-    kind = next(iter(sim._batches))
     few, many = (passing_bytes(sim._model, kind, n, sim.device) for n in (3, 30))
     # the solver's vectors of single precision: one of each constraint, and of each degree of freedom more than one
     assert many - few > 27 * 4 * (kind.njmax + sim.model.nv)
-    assert sizes[0] > (many - few) // 27
+    assert sizes[0].world > (many - few) // 27
     assert not isinstance(wp.get_device_allocator(sim.device), Counter)
 
 

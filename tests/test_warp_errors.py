@@ -13,6 +13,7 @@ from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import Whitening, make_simulator, warp, warp_device, warp_model
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_batch import CONSTRAINTS, WarpBatch
+from nfpde.sim.warp_memory import Footprint, passing_bytes
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
 
 SPACE = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
@@ -250,25 +251,35 @@ def test_other_errors_of_warp_pass(monkeypatch):
         sim.losses([[0.5]], make_windows(sim.model, 2, 1), np.ones(2))
 
 
-def test_the_memory_of_a_world_is_that_of_its_arrays():
-    """Bytes per world, found from small batches, are those of a large one."""
-    sim = pendulum()
-    windows = make_windows(sim.model, 300, 1)
-    sim.losses([[0.5], [0.2]], windows, np.ones(2))
-    (batch,) = sim._batches.values()
-    predicted = sim.usage().nbytes
-    # rows and windows are counted for every world, and shared arrays of the model not at all
-    assert 0.7 * predicted < batch.nbytes() < 1.1 * predicted
+@pytest.mark.parametrize(("vectors", "windows"), [(2, 300), (300, 2), (40, 40)])
+def test_the_memory_of_a_batch_is_that_of_its_arrays(vectors, windows):
+    """Bytes of worlds, rows and windows, found from small batches, add up to those of a large one.
 
-
-def test_constants_of_every_row_are_counted():
-    """A mass changes what MuJoCo derives from it, for which each vector has a state of its own."""
+    A mass changes what MuJoCo derives from it, for which each row has a state of its own.
+    """
     space = ParameterSpace([Parameter("body_mass", "rod", 0.5, 2.0)])
     sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
-    sim.losses(np.linspace(0.6, 1.9, 300)[:, None], make_windows(sim.model, 1, 1), np.ones(2))
-    (batch,) = sim._batches.values()
+    sim.losses(np.linspace(0.6, 1.9, vectors)[:, None], make_windows(sim.model, windows, 3), np.ones(2))
+    (sizes, batch), *others = sim._batches.items()
+    assert not others
     assert batch._constants is not None
-    assert 0.7 * sim.usage().nbytes < batch.nbytes() < 1.1 * sim.usage().nbytes
+    few, more = (passing_bytes(sim._model, sizes, n, sim.device) for n in (2, 6))
+    passing = sizes.nworld * (more - few) / 4
+    # a little is the same for all: the model's options, counters
+    assert sim.usage().nbytes == pytest.approx(batch.nbytes() + passing, rel=0.01, abs=20_000)
+
+
+def test_what_fits_at_once():
+    """The largest tile of vectors and windows: nothing more fits, and whatever there is, one pair is tried."""
+    of = Footprint(world=10, row=100, window=5)
+    for memory in (1, 115, 1000, 9999, 10**6):
+        for most in ((1, 1), (7, 3), (50, 1000), (10**6, 10**6)):
+            n, k = of.tile(memory, *most)
+            taken = n * 100 + k * 5 + n * k * 10
+            assert (n, k) == (1, 1) or taken <= memory
+            assert n == most[0] or (n + 1) * 110 + 5 > memory
+            assert k == most[1] or taken + 5 + n * 10 > memory
+        assert of.pairs(memory) == max(1, memory // 115)
 
 
 def test_few_shapes_on_a_gpu():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import product
 from typing import Any
@@ -21,10 +22,11 @@ from nfpde.sim.alike import ModelSource
 from nfpde.sim.cpu import MujocoSimulator
 from nfpde.sim.simulator import Array, Simulator, check_rows
 from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes, WarpBatch
-from nfpde.sim.warp_device import WarpDevice, free_bytes, most_worlds, open_device, out_of_memory, ran_out, room_for
+from nfpde.sim.warp_device import WarpDevice, free_bytes, open_device, out_of_memory, ran_out, room_for
 from nfpde.sim.warp_effects import WarpEffects
+from nfpde.sim.warp_memory import Footprint, footprint
 from nfpde.sim.warp_model import WarpModel
-from nfpde.sim.warp_sizes import buffer_sizes, bytes_per_world, cut, longest, power_of_two
+from nfpde.sim.warp_sizes import buffer_sizes, cut, longest, power_of_two
 from nfpde.sim.warp_whitening import WarpWhitening
 from nfpde.sim.whitening import Whitening
 
@@ -104,7 +106,7 @@ class WarpSimulator(Simulator):
         self._batches: dict[Sizes, WarpBatch] = {}
         self._buffers: tuple[int, int] | None = None
         self._memory = free_bytes(self.device)
-        self._bytes_of: dict[Sizes, int] = {}
+        self._footprints: dict[Sizes, Footprint] = {}
         self._whitening: WarpWhitening | None = None
         self._rounds = self.device.is_cuda
         _ALIVE.add(self)
@@ -200,8 +202,7 @@ class WarpSimulator(Simulator):
 
     def identity(self) -> dict[str, Any]:
         """That of the reference, and that it ran in single precision."""
-        ours = {"class": type(self).__name__, "mujoco_warp": version("mujoco_warp")}
-        return {**self.reference.identity(), **ours}
+        return {**self.reference.identity(), "class": type(self).__name__, "mujoco_warp": version("mujoco_warp")}
 
     def release(self) -> None:
         """Give the memory of all buffers back; the next call makes them anew."""
@@ -217,7 +218,7 @@ class WarpSimulator(Simulator):
         if not self._batches:
             raise BadInput("nothing was simulated yet; call losses or predict first")
         sizes = next(reversed(self._batches))
-        return Usage(sizes.nworld, sizes.nworld * self._bytes(sizes), sizes.nconmax, sizes.njmax)
+        return Usage(sizes.nworld, self._bytes(sizes), sizes.nconmax, sizes.njmax)
 
     def _rows(
         self,
@@ -233,12 +234,13 @@ class WarpSimulator(Simulator):
         self._count(len(vector), windows)
         done = 0
         while done < len(vector):
-            most = self._most_worlds(windows, output)
+            kind = self._kind(windows, output, all_pairs=False)
+            most = self.nworld or self._footprint(kind).pairs(self._memory)
             parts = cut(slice(done, len(vector)), most)
             largest = longest(parts)
             # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
             n = largest if len(parts) > 1 else min(most, power_of_two(largest))
-            sizes = self._sizes(windows, output, nrow=n, nworld=n, nwindow=n, all_pairs=False)
+            sizes = replace(kind, nrow=n, nworld=n, nwindow=n)
             for part in parts:
                 vectors, v = np.unique(vector[part], return_inverse=True)
                 chosen, w = np.unique(window[part], return_inverse=True)
@@ -255,14 +257,15 @@ class WarpSimulator(Simulator):
         self._count(len(xi) * len(windows), windows)
         left = [(slice(0, len(xi)), slice(0, len(windows)))]
         while left:
-            most = self._most_worlds(windows, output)
-            rows = cut(left[0][0], most)
-            columns = cut(left[0][1], max(1, most // longest(rows)))
+            kind = self._kind(windows, output)
+            rows, columns = self._cut(kind, *left[0])
             # one shape for all of them, so that only one is in memory
             nrow, nwindow = longest(rows), longest(columns)
-            if self._rounds and nrow * nwindow <= SMALL and 4 * nrow * nwindow <= most:
+            sizes = replace(kind, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+            if self._rounds and sizes.nworld <= SMALL:
                 nrow, nwindow = power_of_two(nrow), power_of_two(nwindow)
-            sizes = self._sizes(windows, output, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+                rounded = replace(kind, nrow=nrow, nworld=nrow * nwindow, nwindow=nwindow)
+                sizes = rounded if self._fits(rounded) else sizes
             tiles = list(product(rows, columns))
             left[:1] = tiles
             for vectors, chosen in tiles:
@@ -290,9 +293,8 @@ class WarpSimulator(Simulator):
         fields = self._model.stage(xi, derive=self._model.derived is not None and sizes.all_pairs)
         values, active = self._effects.stage(xi)
         while True:
-            if self._buffers is None:
-                self._buffers = buffer_sizes(self.model, windows)
-            wanted = replace(sizes, nconmax=self._buffers[0], njmax=self._buffers[1])
+            nconmax, njmax = self._buffers or buffer_sizes(self.model, windows)
+            wanted = replace(sizes, nconmax=nconmax, njmax=njmax)
             batch, overflow = None, 0
             try:
                 batch = self._batch(wanted)
@@ -320,12 +322,11 @@ class WarpSimulator(Simulator):
                 )
             if not overflow & (CONSTRAINTS | CONTACTS):
                 return batch
-            nconmax, njmax = self._buffers
             grown = (2 * nconmax if overflow & CONTACTS else nconmax, 2 * njmax if overflow & CONSTRAINTS else njmax)
             self._buffers = grown
             # freed, not dropped: whoever works through what it gave before still holds it
             self._free_batches()
-            if sizes.nworld > 1 and sizes.nworld > self._fitting(replace(sizes, nconmax=grown[0], njmax=grown[1])):
+            if sizes.nworld > 1 and not self._fits(replace(sizes, nconmax=grown[0], njmax=grown[1])):
                 return None
 
     def _free_batches(self) -> None:
@@ -344,52 +345,51 @@ class WarpSimulator(Simulator):
         """The batch of a shape, made or kept from an earlier call."""
         batch = self._batches.pop(sizes, None)
         if batch is None:
-            needed = sizes.nworld * self._bytes(sizes)
-            while self._batches and (len(self._batches) >= MOST_BATCHES or self._taken() + needed > self._memory):
+            while self._batches and (
+                len(self._batches) >= MOST_BATCHES or self._bytes(*self._batches, sizes) > self._memory
+            ):
                 self._batches.pop(next(iter(self._batches))).free()
             batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
         self._batches[sizes] = batch
         return batch
 
-    def _sizes(
-        self, windows: Windows, output: Output, *, nrow: int, nworld: int, nwindow: int, all_pairs: bool = True
-    ) -> Sizes:
+    def _kind(self, windows: Windows, output: Output, *, all_pairs: bool = True) -> Sizes:
         steps = min(self.history_steps(windows.control_dt), windows.nhistory), self.recalled_steps(windows)
         nsub = self.substeps(windows.control_dt)
-        nconmax, njmax = self._buffers or (0, 0)
-        return Sizes(nrow, nworld, nwindow, windows.horizon, *steps, nsub, output, all_pairs, nconmax, njmax)
-
-    def _most_worlds(self, windows: Windows, output: Output) -> int:
-        """Worlds at once: as many as were asked for, or as fit into the memory that was free at the beginning."""
-        if self.nworld:
-            return self.nworld
         if self._buffers is None:
             self._buffers = buffer_sizes(self.model, windows)
-        return self._fitting(self._sizes(windows, output, nrow=1, nworld=1, nwindow=1))
+        return Sizes(1, 1, 1, windows.horizon, *steps, nsub, output, all_pairs, *self._buffers)
 
-    def _fitting(self, sizes: Sizes) -> int:
-        """Worlds of that kind that may be simulated at once."""
+    def _cut(self, kind: Sizes, vectors: slice, windows: slice) -> tuple[list[slice], list[slice]]:
+        """Pieces of the vectors and of the windows: as many at once as were asked for, or as fit."""
         if self.nworld:
-            return self.nworld
-        try:
-            return most_worlds(self._memory, self._bytes(sizes))
-        except RuntimeError as error:
-            if not ran_out(error):
-                raise
-        self._free_batches()
-        self._others_released()
-        with room_for(self.device, "a few worlds, whose size is measured,"):
-            return most_worlds(self._memory, self._bytes(sizes))
+            rows = cut(vectors, self.nworld)
+            return rows, cut(windows, max(1, self.nworld // longest(rows)))
+        m, n = longest([vectors]), longest([windows])
+        most = self._footprint(kind).tile(self._memory - 8 * m * n, m, n)  # beside their losses
+        return cut(vectors, most[0]), cut(windows, most[1])
 
-    def _bytes(self, sizes: Sizes) -> int:
-        """Memory of a world in batches of that kind, measured once for each."""
+    def _fits(self, sizes: Sizes) -> bool:
+        return sizes.nworld <= self.nworld if self.nworld else self._bytes(sizes) <= self._memory
+
+    def _bytes(self, *batches: Sizes) -> int:
+        return sum(self._footprint(sizes).of(sizes) for sizes in batches)
+
+    def _footprint(self, sizes: Sizes) -> Footprint:
+        """Memory of batches of that kind, measured once for each."""
         kind = replace(sizes, nrow=1, nworld=1, nwindow=1)
-        if kind not in self._bytes_of:
-            self._bytes_of[kind] = bytes_per_world(self._model, self._effects, self.states, kind, self.device)
-        return self._bytes_of[kind]
-
-    def _taken(self) -> int:
-        return sum(sizes.nworld * self._bytes(sizes) for sizes in self._batches)
+        if kind not in self._footprints:
+            measured = partial(footprint, self._model, self._effects, self.states, kind, self.device)
+            try:
+                self._footprints[kind] = measured()
+            except RuntimeError as error:
+                if not ran_out(error):
+                    raise
+                self._free_batches()
+                self._others_released()
+                with room_for(self.device, "a few worlds, whose size is measured,"):
+                    self._footprints[kind] = measured()
+        return self._footprints[kind]
 
     def _check_windows(self, windows: Windows) -> None:
         if windows.ctrl.shape[2] != self.model.nu:

@@ -63,11 +63,6 @@ def free_bytes(device: wp.Device) -> int:
     return int(SHARE * device.free_memory) if device.is_cuda else CPU_BYTES
 
 
-def most_worlds(memory: int, bytes_per_world: int) -> int:
-    """How many worlds fit, at least 1."""
-    return max(1, memory // max(1, bytes_per_world))
-
-
 def ran_out(error: RuntimeError) -> bool:
     """Whether Warp's error says that memory could not be allocated; an illegal access to memory is none."""
     text = str(error).lower()
@@ -89,10 +84,11 @@ def room_for(device: wp.Device, what: str) -> Iterator[None]:
         raise BadInput(f"{device}: no memory for {what} beside the worlds; pass a smaller nworld") from None
 
 
-def out_of_memory(device: wp.Device, memory: int, nworld: int, bytes_per_world: int) -> BadInput:
-    """The error to raise where the buffers of so many worlds could not be allocated."""
-    fitting = min(most_worlds(memory, bytes_per_world), max(1, nworld // 2))
+def out_of_memory(device: wp.Device, memory: int, nworld: int, needed: int) -> BadInput:
+    """The error to raise where the buffers of so many worlds, of so many bytes, could not be allocated."""
+    each = max(1, needed // nworld)
+    fitting = max(1, min(memory // each, nworld // 2))
     return BadInput(
-        f"{device}: no memory for {nworld} worlds of about {bytes_per_world / 1024:.0f} KiB each; {memory / 2**30:.1f} "
-        f"GiB may be taken: pass nworld={fitting}, or shorter windows"
+        f"{device}: no memory for {nworld} worlds of about {each / 1024:.0f} KiB each; {memory / 2**30:.1f} GiB may be "
+        f"taken: pass nworld={fitting}, or shorter windows"
     )
