@@ -1,47 +1,64 @@
 """Where some of the short windows show nothing, all of them are looked at."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from nfpde.effects import effect
+from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.brief import EVERY, MOST, brief
 from nfpde.gap.recordings import cut_recordings
-from nfpde.gap.search import Search
+from nfpde.gap.search import Found, Search
+from nfpde.gap.select import Selection
 from tests.test_gap_contacts import pushes
 
 ANYTHING: Any = None
 SOFT = effect("contact_softness", time_constant=(0.004, 0.2), damping_ratio=(0.1, 4.0))
 FAST = effect("viscous_damping", "along", damping=(0.0, 1.0))
+NEAR: Any = "the stage of the longest windows"
+
+
+class Leaving(Selection):
+    """A selection that knows what is left, beside a floor of one."""
+
+    left = 1.0
+
+    def gap_of(self, trial):
+        return self.left
+
+    def floor(self, trial):
+        return 1.0
 
 
 @pytest.mark.parametrize(
-    ("what", "rows", "accepted", "at_floor", "again"),
+    ("what", "rows", "accepted", "gap", "again"),
     [
-        (SOFT, 400, [], True, True),
-        (SOFT, 400, ["found"], True, False),  # what is there was found
-        (SOFT, 400, [], False, False),  # far more than noise: more windows explain no more of it
-        (SOFT, 120, [], True, False),  # all windows were looked at
-        (FAST, 400, [], True, False),  # nothing touches anything: windows are long, and all that there are
+        (SOFT, 400, [], 1.0, True),
+        (SOFT, 400, ["found"], 1.0, False),  # what is there was found
+        (SOFT, 400, [], 9.0, False),  # far more than noise: more windows explain no more of it
+        (SOFT, 400, [], 0.9 * LEAST_GAP, False),  # nor of what is next to nothing
+        (SOFT, 120, [], 1.0, False),  # all windows were looked at
+        (FAST, 400, [], 1.0, False),  # nothing touches anything: windows are long, and all that there are
     ],
 )
-def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, accepted, at_floor, again, monkeypatch):
+def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, accepted, gap, again, monkeypatch):
     recordings = cut_recordings(pushes(0.5, rows=rows), 0, 0, 160)
-    used = []
+    used, knew = [], []
 
     def to_the_end(search: Search) -> tuple[Any, Any]:
         used.append(search.most)
-        selection = SimpleNamespace(at_floor=lambda trial: at_floor, steps=len(used))
-        found = SimpleNamespace(accepted=accepted, recordings=recordings, selection=selection, final=ANYTHING)
-        return "stage", found
+        knew.append(search.before)
+        selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=len(used))
+        selection.left = gap
+        return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False)
 
     monkeypatch.setattr(Search, "_to_the_end", to_the_end)
     told = []
     search = Search(ANYTHING, ANYTHING, [(what, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, ANYTHING, told.append)
     stage, found = search.run()
     assert used == ([MOST, EVERY] if again else [MOST])
+    assert knew == ([None, NEAR] if again else [None])  # the noise of the sensors is not found twice
     assert stage == "stage"
     assert len(told) == again
     assert found.selection.steps == (3 if again else 1)  # what both simulated counts
@@ -58,3 +75,13 @@ def test_more_windows_are_more_of_the_same():
         assert {(e, r) for e, r in zip(some.fit.episode, some.fit.row, strict=True)} <= where
         assert len(where) == len(every.fit)
     assert len(brief(recordings)[0].fit) < len(brief(recordings, EVERY)[0].fit)
+
+
+@pytest.mark.parametrize(("touches", "untouched"), [(True, False), (True, True), (False, False)])
+def test_beside_contacts_next_to_nothing_is_not_searched(touches, untouched):
+    """A tenth of the noise that was believed; a little more is, and so is smooth motion, where a test finds it."""
+    sigma = np.ones(2) if touches else None
+    chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=sigma, last=True, untouched=untouched)
+    for left, nothing in ((0.9 * LEAST_GAP, touches), (1.1 * LEAST_GAP, False)):
+        chosen.left = left
+        assert chosen._nothing_left(ANYTHING, []) is nothing

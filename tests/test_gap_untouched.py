@@ -1,18 +1,24 @@
 """Joints that touch nothing, beside contacts: asked about over the longest windows, where they stand out."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
+from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
+from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.answer import Outcome
 from nfpde.gap.levels import NEAR_FLOOR, Yardstick
+from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.search import Found, Search
 from nfpde.gap.select import Selection
 from nfpde.gap.trial import Court, Trial
+from tests.gap_systems import nominal, record
 
 ANYTHING: Any = None
 
@@ -128,14 +134,27 @@ class Standing(Selection):
 class Longest(Search):
     """A search whose stage of the longest windows is given."""
 
-    def after(self, before: Any, longer, known, *, look=True) -> Any:
+    def after(self, before: Any, longer, known, *, look=True, dofs=None) -> Any:
         assert not look
-        return LONG
+        if dofs is None:
+            return LONG
+        assert before is LONG  # it knows the noise of the sensors
+        assert dofs.tolist() == [0, 1]
+        return PART
 
 
-LONG: Any = SimpleNamespace(
-    court=None, yardstick=None, base=SimpleNamespace(fit=None), shown=lambda t, refitted: t, sigma=np.ones(2)
-)
+def stage_of(name: str) -> Any:
+    """A stage whose base does not stand out, and which shows trials as its own."""
+    return SimpleNamespace(
+        court=name,
+        yardstick=None,
+        base=SimpleNamespace(fit=None),
+        shown=lambda t, refitted: (name, t, refitted),
+        sigma=np.ones(2),
+    )
+
+
+LONG, PART = stage_of("all joints"), stage_of("joints that touch nothing")
 
 
 @pytest.mark.parametrize(("out", "more", "named"), [(2.0, 1, 2), (2.0, 0, 1), (1.4, 1, 1)])
@@ -154,7 +173,108 @@ def test_longest_windows_are_searched_where_a_joint_stands_out(out, more, named,
     assert found.accepted[0] is first
     assert len(found.accepted) == named
     assert (found.near is LONG) is (named == 2)
-    assert (found.final is final) is (named == 1)
+    assert (found.final == ("all joints", final, True)) is (named == 1)
     assert bool(said) is (out > NEAR_FLOOR)
     # refits were counted, whether anything came of them or not
     assert found.selection.steps == {2: 25, 1: 15 if out > NEAR_FLOOR else 5}[named]
+
+
+@pytest.mark.parametrize(("out", "named"), [(1.4, 1), (2.0, 2)])
+def test_such_joints_are_asked_for_a_first_effect_though_none_stands_out(out, named, monkeypatch):
+    """What they leave after that, only where one does."""
+    monkeypatch.setattr(Standing, "out", out)
+    chosen = Standing(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), untouched=True)
+    base: Any = SimpleNamespace(fit=None)
+    _, accepted = chosen.run(base)
+    assert [a.effect for a in accepted] == ["effect 1", "effect 2"][:named]
+
+
+class Beside(Standing):
+    """Finds an effect where joints that touch nothing are asked by themselves, and nowhere else."""
+
+    out, keeps = 1.4, True
+
+    def run(self, base, earlier=None, *, further=False) -> Any:
+        self.steps += 10
+        assert self.court == "joints that touch nothing"
+        assert self.untouched
+        assert self.last
+        assert earlier is None
+        self.ranking.append("tried")  # type: ignore[arg-type]
+        return ("found", ["effect"]) if self.more else (base, [])
+
+    def useful(self, base, trial, accepted):
+        return (trial, accepted) if self.keeps else (base, [])
+
+
+@pytest.mark.parametrize(("more", "keeps"), [(1, True), (0, True), (1, False)])
+def test_joints_that_touch_nothing_are_asked_by_themselves_where_nothing_was_found(more, keeps, monkeypatch):
+    """What they ask for stands over all joints, if it makes nothing worse there; their windows know its values."""
+    monkeypatch.setattr(Beside, "more", more)
+    monkeypatch.setattr(Beside, "keeps", keeps)
+    said: list[str] = []
+    chosen = Beside(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
+    start: Any = SimpleNamespace(sim=SimpleNamespace(model=nominal()))
+    search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, said.append)
+    cut = cut_recordings(record(), 0, 0, 40)
+    stage, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
+    assert stage is LONG
+    assert said == ["joints that touch nothing"]
+    assert found.selection.steps == 15
+    assert found.selection.court == "all joints"
+    if more and keeps:
+        assert found.accepted == ["effect"]
+        assert found.final == ("all joints", "found", True)
+        assert (found.near, found.by) == (LONG, PART)
+        assert found.selection.ranking == [("all joints", "tried", False)]
+    else:
+        assert (found.accepted, found.final, found.near, found.by) == ([], LONG.base, PART, None)
+        assert found.selection.ranking == []
+
+
+@pytest.mark.parametrize(("before", "left"), [(LONG, 3.0), (None, 0.9 * LEAST_GAP)])
+def test_such_joints_are_asked_once_and_where_something_is_left(before, left, monkeypatch):
+    monkeypatch.setattr(Beside, "gap_of", lambda selection, trial: left)
+    chosen = Beside(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
+    start: Any = SimpleNamespace(sim=SimpleNamespace(model=nominal()))
+    search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, lambda what: None, before=before)
+    cut = cut_recordings(record(), 0, 0, 40)
+    _, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
+    assert (found.accepted, found.by, found.selection.steps) == ([], None, 5)
+
+
+def test_a_joint_that_touches_something_is_not_asked_by_itself():
+    """A block on the floor has none that does not."""
+    block = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom type='plane' size='1 1 .1'/><body pos='0 0 .05'><freejoint/>"
+        "<geom type='box' size='.05 .05 .05'/></body></worldbody></mujoco>"
+    )
+    time = 0.01 * np.arange(400)
+    rest = Episode("rest", time, np.tile(block.qpos0, (400, 1)), np.zeros((400, 6)), np.zeros((400, 0)))
+    chosen = Beside(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
+    start: Any = SimpleNamespace(sim=SimpleNamespace(model=block))
+    search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, lambda what: None)
+    cut = cut_recordings(Dataset([rest, replace(rest, name="again")]), 0, 0, 40)
+    _, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
+    assert (found.accepted, found.by, found.selection.steps) == ([], None, 5)
+
+
+def test_its_own_windows_tell_how_well_values_are_known(monkeypatch):
+    """Where joints that touch nothing told what was found, the others' jumps say nothing of it."""
+    monkeypatch.setattr("nfpde.gap.answer.standard_errors", lambda court, fit: (court, fit))
+
+    def stage(name: str) -> Any:
+        fitter = SimpleNamespace(linearise=lambda fit: f"slopes of {fit}")
+        shown = lambda t, refitted: SimpleNamespace(fit=f"{t} on {name}")  # noqa: E731
+        return SimpleNamespace(court=SimpleNamespace(name=name, fitter=fitter), shown=shown)
+
+    whole, part = stage("all"), stage("part")
+    final: Any = SimpleNamespace(fit="final")
+
+    def outcome(by) -> Any:
+        return Outcome(ANYTHING, whole, whole, final, (), ANYTHING, ANYTHING, ANYTHING, 0, "", ANYTHING, by)
+
+    assert outcome(None).errors == (whole.court, "slopes of final")
+    court, fit = outcome(part).errors
+    assert court is part.court
+    assert fit == f"slopes of {final} on part"

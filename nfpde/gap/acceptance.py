@@ -33,6 +33,9 @@ NOISE_TIMES = 3.0
 """What noise alone gives, times this, is what a candidate must gain near the noise floor: draws differ by a factor of
 two where contacts multiply noise, and the noise of the sensors, whose square counts, is known to a tenth or two."""
 
+LEAST_GAP = FLOOR_ERROR**2
+"""Gap below which there is nothing to look for: residuals of a tenth of the noise that was believed."""
+
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
@@ -59,11 +62,12 @@ class Acceptance(Rounds):
     def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self.gap_of(current)
-        # what fits the noise better and leaves the gap explains nothing
-        worthy = [t for t in trials if self.shrinks(t, current, first_gap)]
+        near_noise = self.sigma is not None and gap * (1 - CLOSED) < self.floor(current)
+        # what fits the noise better and leaves the gap explains nothing; near the noise, what noise gives is asked
+        worthy = [t for t in trials if self.shrinks(t, current, first_gap) or (near_noise and self.lessens(t, current))]
         # each is tested at its share of the level: any that passes has been asked for
         gains = {t: g for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0}
-        doubted = self.sigma if gains and gap * (1 - CLOSED) < self.floor(current) else None
+        doubted = self.sigma if near_noise else None
 
         def stands(trial: Trial) -> bool:
             if doubted is None:
@@ -113,9 +117,25 @@ class Acceptance(Rounds):
             return True
         if self.sigma is None or self.far is None or left > gap - rounding:
             return False
-        before, after = self.far.gaps(current, trial, self.sigma)
+        return self._shrinks_far(trial, current, self.far, self.sigma) >= WORTH
+
+    def lessens(self, trial: Trial, current: Trial) -> bool:
+        """Whether a trial leaves less of the gap, however little, in the mean and in most windows.
+
+        Over the longest windows it must not leave more, by what counts there.
+        """
+        rounding = self.yardstick.rounding
+        if self.gap_of(trial) >= self.gap_of(current) - rounding or self._usual_gap(trial) >= self._usual_gap(current):
+            return False
+        if self.sigma is None or self.far is None:
+            return True
+        return self._shrinks_far(trial, current, self.far, self.sigma) > -WORTH
+
+    def _shrinks_far(self, trial: Trial, current: Trial, far: Far, sigma: Array) -> float:
+        """Share of the gap over the longest windows that a trial removes."""
+        before, after = far.gaps(current, trial, sigma)
         self.count(trial.fit.replay, current.fit.replay)
-        return before - after >= WORTH * before
+        return 1.0 - after / before
 
     def at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
@@ -126,6 +146,10 @@ class Acceptance(Rounds):
     def in_noise(self, base: Trial) -> bool:
         """Whether noise beside contacts leaves as much as there is; in smooth motion a test finds what is below it."""
         return self.sigma is not None and self.gap_of(base) < self.floor(base) + FLOOR_ERROR
+
+    def spotless(self, trial: Trial) -> bool:
+        """Whether a trial leaves next to nothing of what noise would: then the noise was overestimated, too."""
+        return self.gap_of(trial) < LEAST_GAP
 
     def floor(self, trial: Trial) -> float:
         """The gap that noise alone leaves."""

@@ -59,6 +59,7 @@ class Outcome:
     sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
     computed: joints whose speeds were computed from their positions, in words
     error: by how much joints at rest read too high (nv,); the recordings are without it
+    by: windows of the joints that alone told what was found, where not all did: values are known by these
     """
 
     dataset: Dataset
@@ -72,6 +73,7 @@ class Outcome:
     seed: int
     computed: str
     error: Array
+    by: Stage | None = None
 
     @property
     def recordings(self) -> Recordings:
@@ -153,8 +155,14 @@ class Outcome:
     @cached_property
     def errors(self) -> Array:
         """Standard errors of what was found (D,)."""
-        court = self.near.court
-        return standard_errors(court, court.fitter.linearise(self.explained.fit))
+        court = self._by.court
+        shown = self.explained if self.by is None else self.by.shown(self.final, refitted=False)
+        return standard_errors(court, court.fitter.linearise(shown.fit))
+
+    @property
+    def _by(self) -> Stage:
+        """The windows by which values are known."""
+        return self.near if self.by is None else self.by
 
     def errors_of(self, trial: Trial) -> Array:
         """Standard errors of another model's parameters (D,), on the same windows: contacts tear long ones apart.
@@ -165,8 +173,8 @@ class Outcome:
         effects = [key(e) for e in trial.fit.replay.effects]
         if effects == [key(e) for e in self.final.fit.replay.effects]:
             return self.errors
-        court = self.near.court
-        shown = court.fitter.linearise(self.near.shown(trial, refitted=False).fit)
+        court = self._by.court
+        shown = court.fitter.linearise(self._by.shown(trial, refitted=False).fit)
         rivals = {key(t.effect) for a in self.accepted for t in a.rivals if t.effect is not None}
         if effects[-1] in rivals:
             return standard_errors(court, shown)

@@ -106,9 +106,9 @@ def judging(court: Court, fit: Fit, halves: Sequence[Windows], sigma: Array, see
         sigma: Noise of the sensors (2 nv,).
         seed: Of its draws.
     """
-    fitter, held = (Fitter(half, court.fitter.horizons) for half in halves)
+    fitter, held = (Fitter(half, court.fitter.horizons, dofs=court.fitter.dofs) for half in halves)
     left = [half.residuals_at(fit.replay, fit.xi[None])[0] for half in (fitter, held)]
-    floor = floor_of(left[0], fit.replay.moved(fitter.windows, fitter.horizons))
+    floor = floor_of(left[0], fitter.moved(fit.replay))
     plain = replace(court, fitter=fitter, held=held, floor=floor)
     whole = isinstance(court.fitter.noise, Directions)
     return quietened(plain, fit, np.concatenate(left), fit, sigma, seed, whole=whole)[0]

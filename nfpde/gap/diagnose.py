@@ -103,7 +103,7 @@ def diagnose_gap(
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
     outcome = Outcome(
-        dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error
+        dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error, found.by
     )
     return answer(outcome, time.monotonic() - begin)
 

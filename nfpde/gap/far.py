@@ -43,7 +43,7 @@ class Far:
         windows = joined(self.recordings.fit, self.recordings.held)
         plain, replay = Fitter(windows, self.recordings.horizons), current.fit.replay
         left, noise = plain.residuals_at(replay, current.fit.xi[None])[0], noise_of(current.fit, sigma, plain, SEED)
-        loud = loudness(noise, left, floor_of(left, replay.moved(windows, plain.horizons)))
+        loud = loudness(noise, left, floor_of(left, plain.moved(replay)))
         left = loud.quieten(left)
         yardstick = Yardstick.of(loud.quieten(noise), left, self.capped)
         return _Measure(replace(plain, noise=loud), yardstick, float(yardstick.gap(left).mean()))

@@ -84,15 +84,26 @@ class Fitter:
     windows: what is fitted
     horizons: where it is compared
     noise: what residuals are quietened by, of these windows; None: all windows are alike
+    dofs: degrees of freedom that are looked at; None: all. Only these are in residuals then
     """
 
     windows: Windows
     horizons: Sequence[int]
     noise: Loudness | Directions | None = None
+    dofs: NDArray[np.intp] | None = None
 
     def some(self, index: NDArray[np.intp]) -> Fitter:
         """The same on some of the windows."""
-        return Fitter(self.windows[index], self.horizons, None if self.noise is None else self.noise.some(index))
+        noise = None if self.noise is None else self.noise.some(index)
+        return replace(self, windows=self.windows[index], noise=noise)
+
+    def seen(self, residuals: Array) -> Array:
+        """Of residuals of all degrees of freedom (..., nv, C) those that are looked at."""
+        return residuals if self.dofs is None else residuals[..., self.dofs, :]
+
+    def moved(self, replay: Replay) -> Array:
+        """By how much the channels change over the horizons, as residuals (N, nv, C)."""
+        return self.seen(replay.moved(self.windows, self.horizons))
 
     def quieten(self, residuals: Array) -> Array:
         """Residuals of these windows (..., N, nv, C) counted by how loud noise is in them."""
@@ -261,7 +272,7 @@ class Fitter:
 
     def _residuals(self, replay: Replay, u: Array, force: Array | None = None) -> Array:
         xi = np.array([replay.outward(row) for row in u]).reshape(len(u), -1)
-        return self.quieten(replay.residuals(xi, self.windows, self.horizons, force))
+        return self.quieten(self.seen(replay.residuals(xi, self.windows, self.horizons, force)))
 
 
 def _whiten_slopes(scatter: Scatter, slopes: Array) -> Array:

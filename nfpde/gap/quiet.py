@@ -42,7 +42,6 @@ def quietened(
     count = len(court.fitter.windows)
     fitter = replace(court.fitter, noise=loud.some(slice(None, count)))
     held = replace(court.held, noise=loud.some(slice(count, None)))
-    moved = base.replay.moved(fitter.windows, fitter.horizons)
-    floor = floor_of(fitter.quieten(left[:count]), moved)
+    floor = floor_of(fitter.quieten(left[:count]), fitter.moved(base.replay))
     quiet = learn_scatter(fitter.quieten(noise[:, :count]).reshape(-1, *floor.shape), 0, floor)
     return replace(court, fitter=fitter, held=held, floor=floor, quiet=quiet), held.quieten(noise[:, count:])

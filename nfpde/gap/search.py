@@ -20,6 +20,7 @@ from nfpde.gap.recordings import Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.touching import free_dofs
 from nfpde.gap.trial import Trial
 
 Array = NDArray[np.float64]
@@ -42,6 +43,7 @@ class Found:
     final: the parameters and what was accepted
     accepted: effects in the order of their acceptance
     early: whether windows start in the first rows of episodes, too
+    by: the stage of a part of the joints, where these alone told what was found
     """
 
     recordings: Recordings
@@ -50,6 +52,7 @@ class Found:
     final: Trial
     accepted: list[Accepted]
     early: bool
+    by: Stage | None = None
 
     @property
     def remembers(self) -> bool:
@@ -70,6 +73,7 @@ class Search:
     select: the selection of a stage
     report: called with what is being done
     most: single control steps of each half, at most, where contacts are
+    before: an earlier search's stage, that knows by how much the noise of the sensors is misjudged
     """
 
     start: Replay
@@ -81,6 +85,7 @@ class Search:
     select: Callable[[Stage], Selection]
     report: Callable[[str], None]
     most: int = MOST
+    before: Stage | None = None
 
     @property
     def touches(self) -> bool:
@@ -104,10 +109,13 @@ class Search:
         leave as much as there is, all of them are looked at.
         """
         stage, found = self._to_the_end()
-        if found.accepted or not self._has_more(found.recordings) or not found.selection.at_floor(found.final):
+        selection, final = found.selection, found.final
+        if found.accepted or selection.spotless(final) or not selection.at_floor(final):
+            return stage, found
+        if not self._has_more(found.recordings):
             return stage, found
         self.report("nothing so far: all short windows")
-        again, steps = replace(self, most=EVERY)._to_the_end(), found.selection.steps
+        again, steps = replace(self, most=EVERY, before=found.near)._to_the_end(), found.selection.steps
         again[1].selection.steps += steps
         return again
 
@@ -156,7 +164,7 @@ class Search:
             base, court = moved_over(base, court, lengths[0])
         whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
-        first = in_noise(base, court, lengths[0], self.seed, whole=whole)
+        first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=self.before)
         selection = replace(self.select(first), last=len(lengths) == 1)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
@@ -184,7 +192,7 @@ class Search:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
 
         What happens at a joint that touches nothing, short windows may not show: where one stands out in long ones, it
-        is asked about there.
+        is asked about there. Where nothing was found, such joints are asked by themselves.
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
@@ -192,15 +200,41 @@ class Search:
         final, accepted = selection.useful(stage.base, final, found.accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
         over = replace(found, selection=selection, final=final, accepted=accepted)
-        if not selection.stands_out(final):
-            return stage, over
-        self.report("joints that stand out over longer windows")
-        asked = replace(selection, last=True, untouched=True)
-        near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
-        selection.steps = asked.steps
-        if len(more) <= len(accepted):
-            return stage, over
-        return near, replace(found, near=near, selection=asked, final=final, accepted=more)
+        if selection.stands_out(final):
+            self.report("joints that stand out over longer windows")
+            asked = replace(selection, last=True, untouched=True)
+            near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
+            selection.steps = asked.steps
+            if len(more) > len(accepted):
+                return near, replace(found, near=near, selection=asked, final=final, accepted=more)
+        return stage, (over if accepted else self._by_free_joints(stage, over))
+
+    def _by_free_joints(self, stage: Stage, found: Found) -> Found:
+        """What joints that touch nothing ask for over the longest windows, where all joints together ask for nothing.
+
+        Their motion is smooth, and a weak force adds up over it; beside what contacts make of noise at the others it is
+        not seen.
+        """
+        windows = joined(found.recordings.fit, found.recordings.held)
+        if self.before is not None or found.selection.spotless(stage.base):
+            return found  # an earlier search asked them, on the same windows; or there is nothing to ask
+        dofs = free_dofs(self.start.sim.model, windows.state.reshape(-1, windows.state.shape[2]))
+        if not len(dofs):
+            return found
+        self.report("joints that touch nothing")
+        by = self.after(stage, found.recordings, None, look=False, dofs=dofs)
+        asked = replace(found.selection, last=True, untouched=True, ranking=[])
+        by, asked, final, accepted = self._select(by, asked)
+        selection = replace(found.selection, steps=asked.steps)
+        found = replace(found, selection=selection)
+        if not accepted:
+            return found
+        shown = stage.shown(final, refitted=True)
+        kept, accepted = selection.useful(stage.base, shown, accepted)
+        if not accepted:
+            return found
+        selection.ranking[:] = [stage.shown(t, refitted=False) for t in asked.ranking]
+        return replace(found, near=stage, final=kept, accepted=accepted, by=by)
 
     def _select(
         self,
@@ -233,7 +267,15 @@ class Search:
             return False
         return not _moved(selection, anew).at_floor(anew.shown(final, refitted=False))
 
-    def after(self, before: Stage, longer: Recordings, known: Fit | None, *, look: bool = True) -> Stage:
+    def after(
+        self,
+        before: Stage,
+        longer: Recordings,
+        known: Fit | None,
+        *,
+        look: bool = True,
+        dofs: NDArray[np.intp] | None = None,
+    ) -> Stage:
         """The stage of longer windows, its base fitted from the guesses and from that of the shorter ones.
 
         Args:
@@ -242,10 +284,11 @@ class Search:
             known: What was found there, if anything: it knows more of noise than the base.
             look: Whether parameters are looked for all over their bounds again, where contacts are; windows that decide
                 nothing take those of the windows that did.
+            dofs: Degrees of freedom that are looked at; None: all.
         """
         fit = before.base.fit
         guesses = np.vstack([self.guesses, fit.xi])
-        base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma)
+        base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma, dofs=dofs)
         return in_noise(base, court, longer, self.seed, known, before=before)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:

@@ -92,8 +92,10 @@ class Selection(Acceptance):
 
         Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too.
         """
+        if self.sigma is not None and self.spotless(current):
+            return True
         if self.untouched:
-            return not self.stands_out(current)
+            return bool(accepted) and not self.stands_out(current)
         if self.sigma is not None and self.last:
             return False
         return self.at_floor(current) if accepted else self.in_noise(current)

@@ -115,30 +115,31 @@ def _likeliest(high: Array, slopes: Array, bent: Array, start: Array) -> Array:
     seen = np.flatnonzero(start > 0)
     if not len(seen):
         return start
-    variance, parts = np.ones(len(seen)), slopes[:, :, seen[:, None], seen] * (start[seen] / start[seen][:, None])
+    # columns: noise at the first of four rows, of every channel, then at the second, ...
+    parts = np.moveaxis(slopes[:, :, seen[:, None], seen] * (start[seen] / start[seen][:, None]), 0, 2)
+    parts, variance = parts.reshape(*parts.shape[:2], -1), np.ones(len(seen))
     differences, scale = high[:, seen] / start[seen], np.outer(start[seen], start[seen])
     # Gaussian noise alone shall be found as it is
     expected = chi2.ppf((np.arange(1000) + 0.5) / 1000, len(seen))
     usual = len(seen) / float(np.mean(expected / (_TAILS + expected)))
     fixed = bent[:, seen[:, None], seen] / scale + 1e-12 * np.eye(len(seen))
     for _ in range(_ROUNDS):
-        inverse = _inverse(np.einsum("knij,knlj->nil", parts * variance, parts, optimize=True) + fixed)
-        white = np.einsum("nil,nl->ni", inverse, differences)
-        weight = usual / (_TAILS + np.einsum("ni,ni->n", white, differences))
-        up = np.einsum("knij,ni->knj", parts, white, optimize=True) ** 2
-        down = np.einsum("knij,nil,knlj->j", parts, inverse, parts, optimize=True)
-        variance *= np.sqrt((np.einsum("knj,n->j", up, weight) + 1.0 / variance) / down)
+        factors = _root_of_inverse((parts * np.tile(variance, len(slopes))) @ parts.swapaxes(1, 2) + fixed)
+        white, spread = (factors @ differences[..., None])[..., 0], factors @ parts
+        weight = usual / (_TAILS + (white**2).sum(1))
+        up = (weight[:, None] * np.einsum("ni,nij->nj", white, spread) ** 2).sum(0).reshape(len(slopes), -1).sum(0)
+        down = (spread**2).sum((0, 1)).reshape(len(slopes), -1).sum(0)
+        variance *= np.sqrt((up + 1.0 / variance) / down)
     found = np.zeros_like(start)
     found[seen] = start[seen] * np.sqrt(variance)
     return found
 
 
-def _inverse(covariances: Array) -> Array:
-    """Inverses of covariance matrices (n, C, C), positive definite as well.
+def _root_of_inverse(covariances: Array) -> Array:
+    """Matrices F with F'F the inverses of covariance matrices (n, C, C), so that these are positive definite, too.
 
     Where a contact opens, clean recordings have what bends a billion times as large as noise, in one direction.
     """
     size = np.sqrt(np.einsum("nii->ni", covariances))
     alike = covariances / (size[:, :, None] * size[:, None]) + _DIGITS * np.eye(size.shape[1])
-    factors = np.linalg.inv(np.linalg.cholesky(alike)) / size[:, None]
-    return factors.swapaxes(1, 2) @ factors
+    return np.linalg.inv(np.linalg.cholesky(alike)) / size[:, None]

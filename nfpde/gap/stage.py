@@ -81,6 +81,7 @@ def first_fit(
     capped: bool,
     look: bool = True,
     sigma: Array | None = None,
+    dofs: NDArray[np.intp] | None = None,
 ) -> tuple[Trial, Court]:
     """The fit of the parameters alone, and the court that judges effects, before the noise of windows is known.
 
@@ -92,9 +93,10 @@ def first_fit(
         look: Whether to look all over the bounds too, where contacts are.
         sigma: Noise of the sensors (2 nv,), where shorter windows have told it: a fit that leaves no more than that is
             in no pit.
+        dofs: Degrees of freedom that are looked at; None: all.
     """
-    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
-    moved = start.moved(recordings.fit, recordings.horizons)
+    fitter, held = (Fitter(half, recordings.horizons, dofs=dofs) for half in (recordings.fit, recordings.held))
+    moved = fitter.moved(start)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit, share = _improved(fitter, start, guesses, scatter), CAPPED if capped else 0.0
@@ -134,7 +136,7 @@ def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial
     fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
     fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     court = replace(court, block=recordings.block, fitter=fitter, held=held)
-    return _judged(court.settle(fit), court, fit.replay.moved(recordings.fit, recordings.horizons))
+    return _judged(court.settle(fit), court, fitter.moved(fit.replay))
 
 
 def gaps(base: Trial, court: Court) -> Array:
@@ -194,7 +196,7 @@ def in_noise(
     sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
     court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)
-    fitter, moved = court.fitter, base.fit.replay.moved(recordings.fit, recordings.horizons)
+    fitter, moved = court.fitter, court.fitter.moved(base.fit.replay)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
