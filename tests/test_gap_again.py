@@ -1,5 +1,7 @@
 """Where some of the short windows show nothing, all of them are looked at."""
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -48,7 +50,7 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
 
     def to_the_end(search: Search) -> tuple[Any, Any]:
         used.append(search.most)
-        knew.append(search.before)
+        knew.append(search.before and search.before.near)
         selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=len(used))
         selection.left = gap
         return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False)
@@ -85,3 +87,36 @@ def test_beside_contacts_next_to_nothing_is_not_searched(touches, untouched):
     for left, nothing in ((0.9 * LEAST_GAP, touches), (1.1 * LEAST_GAP, False)):
         chosen.left = left
         assert chosen._nothing_left(ANYTHING, []) is nothing
+
+
+@pytest.mark.parametrize("kept", [None, "halves of the earlier search"])
+def test_what_was_asked_of_some_halves_is_not_asked_of_others(kept, monkeypatch):
+    """A search for the first time chooses halves that show the gap alike; a second one has those of the first."""
+    recordings = cut_recordings(pushes(0.5, rows=120), 0, 0, 40)
+    part = "nfpde.gap.search."
+    monkeypatch.setattr(part + "first_fit", lambda *args, **options: ("base", "court"))
+    monkeypatch.setattr(part + "moved_over", lambda *args: ("base", "court"))
+    monkeypatch.setattr(part + "gaps", lambda base, court: np.ones(80))
+    monkeypatch.setattr(part + "alike_halves", lambda windows, gap, seed: "halves alike")
+    stage = SimpleNamespace(court=ANYTHING, yardstick=ANYTHING, base="base", sigma=np.ones(2))
+    monkeypatch.setattr(part + "in_noise", lambda *args, before, **options: knew.append(before) or stage)
+    knew, cuts = [], []
+
+    class Choosing(Search):
+        def cut(self, lead=None, held=None):
+            cuts.append(held)
+            return recordings
+
+        def _select(self, near, selection, earlier=None, *, further=False) -> Any:
+            return near, selection, "base", []
+
+    chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    data: Any = SimpleNamespace(control_dt=0.01)
+    search = Choosing(ANYTHING, data, [], np.zeros((1, 0)), 40, 0, lambda stage: chosen, lambda what: None)
+    assert search._run(early=False).halves == "halves alike"
+    assert cuts[-1] == "halves alike"
+    before: Any = SimpleNamespace(halves=kept, near=NEAR)
+    cuts.clear()
+    assert replace(search, before=before)._run(early=False).halves == kept
+    assert {held for held in cuts if held} == ({kept} if kept else set())
+    assert knew == [None, NEAR]

@@ -1,5 +1,6 @@
 """Effects that shrink a gap near the noise beside contacts by less than is worth a name: what noise gives decides."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -50,7 +51,7 @@ class Judging(Selection):
 def trial(effect_: Any, gaps: np.ndarray, density: float) -> Trial:
     """A trial that leaves a gap in every window of both halves (60,)."""
     residuals = np.sqrt(gaps)[:, None, None] * np.ones((60, 2, 4))
-    replay = SimpleNamespace(sim=SimpleNamespace(simulated_steps=0))
+    replay = SimpleNamespace(sim=SimpleNamespace(simulated_steps=0), effects=() if effect_ is None else (effect_,))
     fit: Any = SimpleNamespace(residuals=residuals, replay=replay, cost=0.0)
     told = density + 1e-3 * np.sin(np.arange(60))
     return Trial(effect_, fit, told, residuals, told)
@@ -107,3 +108,14 @@ def test_a_gap_is_less_in_the_mean_and_in_most_windows(worse):
         assert np.exp(np.log(after).mean()) < np.exp(np.log(before).mean())
     assert not chosen.lessens(trial(BIAS, after, 0.0), trial(None, before, 0.0))
     assert chosen.lessens(trial(BIAS, 0.99 * before, 0.0), trial(None, before, 0.0))
+
+
+def test_a_small_effect_is_named_alone_and_not_beside_another():
+    """Beside another it may make up for what that one got wrong."""
+    gaps = 1.1 * np.ones(60)
+    current, candidate = trial(None, gaps, 0.0), trial(BIAS, LITTLE * gaps, GAIN)
+    beside: Any = replace(current)
+    beside.fit.replay.effects = (BIAS,)
+    assert selection(None).accept(beside, [candidate], 1.1) is None
+    beside.fit.replay.effects = ()
+    assert selection(None).accept(beside, [candidate], 1.1) is not None

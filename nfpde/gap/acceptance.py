@@ -63,8 +63,10 @@ class Acceptance(Rounds):
         """The candidate that the held-out recordings ask for, if they ask for one."""
         gap = self.gap_of(current)
         near_noise = self.sigma is not None and gap * (1 - CLOSED) < self.floor(current)
-        # what fits the noise better and leaves the gap explains nothing; near the noise, what noise gives is asked
-        worthy = [t for t in trials if self.shrinks(t, current, first_gap) or (near_noise and self.lessens(t, current))]
+        # a first effect near the noise may be small, as noise is asked what it gives; beside another, or far from the
+        # noise, what leaves the gap explains nothing
+        alone = near_noise and not current.fit.replay.effects
+        worthy = [t for t in trials if self.shrinks(t, current, first_gap) or (alone and self.lessens(t, current))]
         # each is tested at its share of the level: any that passes has been asked for
         gains = {t: g for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0}
         doubted = self.sigma if near_noise else None

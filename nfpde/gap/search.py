@@ -44,6 +44,7 @@ class Found:
     accepted: effects in the order of their acceptance
     early: whether windows start in the first rows of episodes, too
     by: the stage of a part of the joints, where these alone told what was found
+    halves: what was held out; None where the seed decided
     """
 
     recordings: Recordings
@@ -53,6 +54,7 @@ class Found:
     accepted: list[Accepted]
     early: bool
     by: Stage | None = None
+    halves: HeldOut | None = None
 
     @property
     def remembers(self) -> bool:
@@ -73,7 +75,8 @@ class Search:
     select: the selection of a stage
     report: called with what is being done
     most: single control steps of each half, at most, where contacts are
-    before: an earlier search's stage, that knows by how much the noise of the sensors is misjudged
+    before: what an earlier search found: its halves are kept, as what was asked of one pair of halves must not be asked
+        of another until chance says yes, and it knows by how much the noise of the sensors is misjudged
     """
 
     start: Replay
@@ -85,7 +88,7 @@ class Search:
     select: Callable[[Stage], Selection]
     report: Callable[[str], None]
     most: int = MOST
-    before: Stage | None = None
+    before: Found | None = None
 
     @property
     def touches(self) -> bool:
@@ -115,7 +118,7 @@ class Search:
         if not self._has_more(found.recordings):
             return stage, found
         self.report("nothing so far: all short windows")
-        again, steps = replace(self, most=EVERY, before=found.near)._to_the_end(), found.selection.steps
+        again, steps = replace(self, most=EVERY, before=found)._to_the_end(), found.selection.steps
         again[1].selection.steps += steps
         return again
 
@@ -157,14 +160,18 @@ class Search:
         if early is None and begins_worse(base, court, self._lengths(every)[0], rows):
             recordings, lead, lengths = every, 0, self._lengths(every)
             base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
-        held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed)
+        if self.before is None:
+            held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed)
+        else:
+            held = self.before.halves
         if held is not None:
             recordings = self.cut(lead, held)
             lengths = self._lengths(recordings)
             base, court = moved_over(base, court, lengths[0])
         whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
-        first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=self.before)
+        earlier = None if self.before is None else self.before.near
+        first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=earlier)
         selection = replace(self.select(first), last=len(lengths) == 1)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
@@ -186,7 +193,7 @@ class Search:
             stage = self.after(near, longer, final.fit if accepted else None)
             selection = replace(selection, last=longer is lengths[-1])
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
-        return Found(recordings, near, selection, final, accepted, lead == 0)
+        return Found(recordings, near, selection, final, accepted, lead == 0, halves=held)
 
     def over_longest(self, found: Found) -> tuple[Stage, Found]:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
