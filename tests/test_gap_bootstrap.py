@@ -148,7 +148,7 @@ def test_near_the_floor_a_candidate_must_gain_more_than_noise_gives_it(gap, give
     chosen.given = given
 
     def trial(what, density, size):
-        fit: Any = SimpleNamespace(residuals=size * noise)
+        fit: Any = SimpleNamespace(residuals=size * noise, replay=SimpleNamespace(effects=()))
         return Trial(what, fit, density, size * noise, density)
 
     base = trial(None, np.zeros(40), np.sqrt(gap))

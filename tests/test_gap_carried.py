@@ -168,7 +168,8 @@ def test_what_is_left_is_asked_about_once():
     base: Any = SimpleNamespace(left=100.0)
 
     def run(left, **more):
-        before: Any = SimpleNamespace(left=left), [SimpleNamespace(effect=None)]
+        fit = SimpleNamespace(replay=SimpleNamespace(effects=("found",)))
+        before: Any = SimpleNamespace(left=left, fit=fit), [SimpleNamespace(effect=None)]
         selection.run(base, before, **more)
         rounds, selection.rounds = selection.rounds, 0
         return rounds

@@ -26,7 +26,7 @@ BLOCK = np.arange(40) // 4
 
 def trial(effect, density, residuals):
     """A trial that leaves the same residuals in both halves."""
-    fit: Any = SimpleNamespace(residuals=residuals)
+    fit: Any = SimpleNamespace(residuals=residuals, replay=SimpleNamespace(effects=()))
     return Trial(effect, fit, density, residuals, density)
 
 
