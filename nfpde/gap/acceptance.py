@@ -137,7 +137,7 @@ class Acceptance(Rounds):
         """Share of the gap over the longest windows that a trial removes."""
         before, after = far.gaps(current, trial, sigma)
         self.count(trial.fit.replay, current.fit.replay)
-        return 1.0 - after / before
+        return (before - after) / max(before, 1e-300)
 
     def at_floor(self, trial: Trial) -> bool:
         """Whether noise alone would leave as much; where contacts are, the floor is known to a factor only."""
