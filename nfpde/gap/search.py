@@ -222,9 +222,9 @@ class Search:
         Their motion is smooth, and a weak force adds up over it; beside what contacts make of noise at the others it is
         not seen.
         """
-        windows = joined(found.recordings.fit, found.recordings.held)
         if self.before is not None or found.selection.spotless(stage.base):
             return found  # an earlier search asked them, on the same windows; or there is nothing to ask
+        windows = joined(found.recordings.fit, found.recordings.held)
         dofs = free_dofs(self.start.sim.model, windows.state.reshape(-1, windows.state.shape[2]))
         if not len(dofs):
             return found

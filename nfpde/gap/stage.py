@@ -133,7 +133,8 @@ def _improved(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -
 
 def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
     """The base fitted to other halves of the recordings, from where it was."""
-    fitter, held = (Fitter(half, recordings.horizons) for half in (recordings.fit, recordings.held))
+    dofs, halves = court.fitter.dofs, (recordings.fit, recordings.held)
+    fitter, held = (Fitter(half, recordings.horizons, dofs=dofs) for half in halves)
     fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     court = replace(court, block=recordings.block, fitter=fitter, held=held)
     return _judged(court.settle(fit), court, fitter.moved(fit.replay))
