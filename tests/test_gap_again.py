@@ -56,14 +56,27 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
         return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False)
 
     monkeypatch.setattr(Search, "_to_the_end", to_the_end)
+    alone = []
+    monkeypatch.setattr(Search, "_by_free_joints", lambda search, *of: alone.append((used[-1], *of)) or of[1])
     told = []
     search = Search(ANYTHING, ANYTHING, [(what, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, ANYTHING, told.append)
     stage, found = search.run()
     assert used == ([MOST, EVERY] if again else [MOST])
     assert knew == ([None, NEAR] if again else [None])  # the noise of the sensors is not found twice
     assert stage == "stage"
+    # joints that touch nothing are asked last, and once
+    assert alone == ([] if accepted or gap < LEAST_GAP else [(used[-1], stage, found)])
     assert len(told) == again
     assert found.selection.steps == (3 if again else 1)  # what both simulated counts
+
+
+def test_joints_are_not_asked_by_themselves_where_all_were_asked_over_the_same_windows(monkeypatch):
+    """Where recordings are too short for shorter windows."""
+    selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2))
+    found = Found(ANYTHING, NEAR, selection, ANYTHING, [], early=False)
+    monkeypatch.setattr(Search, "_to_the_end", lambda search: (NEAR, found))
+    search = Search(ANYTHING, ANYTHING, [(FAST, np.ones((1, 1)))], np.zeros((1, 0)), 160, 0, ANYTHING, ANYTHING)
+    assert search.run() == (NEAR, found)
 
 
 def test_more_windows_are_more_of_the_same():

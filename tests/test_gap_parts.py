@@ -351,6 +351,23 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     assert (trials[1] in found[1].close) is (size < 1.5)  # 1.8 leaves 3.2 of 16, the best 1
 
 
+@pytest.mark.parametrize(("explained", "equal"), [(0.2, False), (0.8, True)])
+def test_who_explains_next_to_nothing_is_no_equal_of_who_explains_little(explained, equal):
+    """Beside contacts an error of the floor is a tenth of it, and of a gap of 1.06 the best leaves 1.0."""
+    rng = np.random.default_rng(13)
+    one, other = (
+        effect(n, "elbow", **{q: (0, 1)}) for n, q in (("coulomb_friction", "torque"), ("armature", "inertia"))
+    )
+    noise = np.ones((40, 2, 4))
+    density = rng.uniform(9, 11, 40)
+    left = 1.06 - 0.06 * explained
+    trials = [trial(one, density, noise), trial(other, density - 5.0, np.sqrt(left) * noise)]
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+    yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4))
+    assert selection._equal(1.06, trials[0], trials[1], False) is equal
+
+
 def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     """Where most density is gained in one block alone, the candidate that gains in every block is accepted."""
     rng = np.random.default_rng(10)

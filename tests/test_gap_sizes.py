@@ -169,3 +169,62 @@ def test_an_effect_whose_part_a_parameter_has_played_ranks_where_contacts_are(yi
     with_effect: Any = lambda e: replays[e.place]  # noqa: E731
     found = screen(fitter, base, tried, with_effect, touches=True)
     assert (found[0].effect is what) is yields
+
+
+class Pressing(Replay):
+    """Residuals that an effect changes in proportion where it is positive, and not at all where it is negative."""
+
+    effects = ()
+
+    def __init__(self, start: np.ndarray, change: np.ndarray) -> None:
+        self.start, self.change = start, change
+        self.low, self.high = -np.ones(1), np.ones(1)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        return np.stack([self.start + max(x, 0.0) * self.change for (x,) in xi])
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_what_slopes_foretell_counts_beside_contacts_as_far_as_it_comes_true(touches):
+    """What presses makes all worse, and a line through it says that lifting makes all good: it changes nothing.
+
+    Another effect takes a fifth of what there is away, and slopes know it.
+    """
+    start = 5.0 * np.random.default_rng(8).normal(size=(60, 1, 2))
+    scatter = learn_scatter(start, 0, 1e-6 * np.ones((1, 2)))
+    presses, helps = (effect("joint_offset", t, offset=(-1.0, 1.0)) for t in ("elbow", "shoulder"))
+    replays = {"elbow": Pressing(start, 4.0 * start), "shoulder": Slipping(start, 0.5, start)}
+    base: Any = SimpleNamespace(
+        replay=Line(), xi=np.zeros(0), scatter=scatter, residuals=start, slopes=np.zeros((0, *start.shape))
+    )
+    tried = [(e, np.array([[0.1]])) for e in (presses, helps)]
+    with_effect: Any = lambda e: replays[e.place]  # noqa: E731
+    first, second = screen(Fitter(ANYTHING, (1, 2)), base, tried, with_effect, touches=touches)
+    assert first.effect is (helps if touches else presses)
+    if touches:
+        assert second.share <= 0
+
+
+def test_what_slopes_foretell_is_tried():
+    """Of three forces each one alone explains a third; together, as slopes foretell, they explain all."""
+    rng = np.random.default_rng(9)
+    parts = rng.normal(size=(3, 60, 1, 2))
+    start = parts.sum(0)
+    scatter = learn_scatter(start, 0, 1e-6 * np.ones((1, 2)))
+    push = effect("external_force", "link", **{f"force_{axis}": (-4.0, 4.0) for axis in "xyz"})
+
+    class Pushed(Replay):
+        effects = ()
+
+        def __init__(self) -> None:
+            self.low, self.high = -4.0 * np.ones(3), 4.0 * np.ones(3)
+
+        def residuals(self, xi, windows, horizons, force=None):
+            return start - np.tensordot(xi, parts, 1)
+
+    base: Any = SimpleNamespace(
+        replay=Line(), xi=np.zeros(0), scatter=scatter, residuals=start, slopes=np.zeros((0, *start.shape))
+    )
+    with_effect: Any = lambda e: Pushed()  # noqa: E731
+    found = screen(Fitter(ANYTHING, (1, 2)), base, [(push, np.eye(3))], with_effect, touches=True)[0]
+    np.testing.assert_allclose(found.starts[0][1][-1], np.ones(3), atol=1e-6)

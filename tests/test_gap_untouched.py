@@ -219,6 +219,8 @@ def test_joints_that_touch_nothing_are_asked_by_themselves_where_nothing_was_fou
     cut = cut_recordings(record(), 0, 0, 40)
     stage, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
     assert stage is LONG
+    assert (found.accepted, said) == ([], [])
+    found = search._by_free_joints(stage, found)
     assert said == ["joints that touch nothing"]
     assert found.selection.steps == 15
     assert found.selection.court == "all joints"
@@ -232,14 +234,13 @@ def test_joints_that_touch_nothing_are_asked_by_themselves_where_nothing_was_fou
         assert found.selection.ranking == []
 
 
-@pytest.mark.parametrize(("before", "left"), [(LONG, 3.0), (None, 0.9 * LEAST_GAP)])
-def test_such_joints_are_asked_once_and_where_something_is_left(before, left, monkeypatch):
-    monkeypatch.setattr(Beside, "gap_of", lambda selection, trial: left)
+def test_such_joints_are_asked_where_something_is_left(monkeypatch):
+    monkeypatch.setattr(Beside, "gap_of", lambda selection, trial: 0.9 * LEAST_GAP)
     chosen = Beside(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
     start: Any = SimpleNamespace(sim=SimpleNamespace(model=nominal()))
-    search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, lambda what: None, before=before)
+    search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, lambda what: None)
     cut = cut_recordings(record(), 0, 0, 40)
-    _, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
+    found = search._by_free_joints(LONG, Found(cut, PART, chosen, ANYTHING, [], early=False))
     assert (found.accepted, found.by, found.selection.steps) == ([], None, 5)
 
 
@@ -255,7 +256,7 @@ def test_a_joint_that_touches_something_is_not_asked_by_itself():
     start: Any = SimpleNamespace(sim=SimpleNamespace(model=block))
     search = Longest(start, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, lambda what: None)
     cut = cut_recordings(Dataset([rest, replace(rest, name="again")]), 0, 0, 40)
-    _, found = search.over_longest(Found(cut, PART, chosen, ANYTHING, [], early=False))
+    found = search._by_free_joints(LONG, Found(cut, PART, chosen, ANYTHING, [], early=False))
     assert (found.accepted, found.by, found.selection.steps) == ([], None, 5)
 
 

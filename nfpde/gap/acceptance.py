@@ -36,6 +36,10 @@ two where contacts multiply noise, and the noise of the sensors, whose square co
 LEAST_GAP = FLOOR_ERROR**2
 """Gap below which there is nothing to look for: residuals of a tenth of the noise that was believed."""
 
+ALIKE = 0.5
+"""Share of what the best effect removes of the gap by which another may fall behind and still count as equal, however
+little that is."""
+
 NEGLIGIBLE = 0.005
 """Share of the best effect's gain by which another may fall behind and still count as equal, however sure it is."""
 
@@ -232,13 +236,14 @@ class Acceptance(Rounds):
         """Whether a trial explains the same as the best, of a gap, where densities do not tell them apart, or do.
 
         Beside contacts a few jumps decide about densities: who leaves as little as the best is its equal whatever they
-        say, and who leaves much more is not.
+        say, and who leaves much more is not. Nor is who explains next to nothing where the best explains little.
         """
         if self.sigma is None:
             return untold
         left = self.gap_of(best)
         more = self.gap_of(trial) - left
-        return more <= FLOOR_ERROR * max(left, 1.0) or (untold and self._leaves_nearly(gap, best, trial))
+        as_little = more <= min(FLOOR_ERROR * max(left, 1.0), ALIKE * max(gap - left, 0.0))
+        return as_little or (untold and self._leaves_nearly(gap, best, trial))
 
     def _leaves_nearly(self, gap: float, best: Trial, trial: Trial) -> bool:
         """Whether a trial leaves nearly as little of a gap as the best."""

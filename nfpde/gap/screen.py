@@ -104,21 +104,24 @@ def screen(
             the base heavy tails, and counts for next to nothing in it.
         least: A scatter by which nothing explains more [nats] ranks by chance, and does not count beside one that
             knows more.
-        touches: Whether contacts are there: only small changes are linear, and many sizes are tried as they are.
+        touches: Whether contacts are there: only small changes are linear, many sizes are tried as they are, and what
+            one of them gains counts. What lifts a foot changes nothing, what lowers it as much does; a line through
+            one of them foretells the wrong thing of the other.
     """
     views = [_View(fitter, base, s, yields=touches) for s in (base.scatter, quiet) if s is not None]
     found = []
     for effect, values in candidates:
         replay = replay_with(effect)
         every = np.vstack([values, finer(effect, values)]) if touches else values
-        xi = np.hstack([np.broadcast_to(base.xi, (len(every), len(base.xi))), every])
+        xi = _beside(base, every)
         there = fitter.residuals_at(replay, xi)
-        judged = []
-        for v in views:
-            gains = v.gains(replay, xi, there)
-            j = _judge(effect, values, v.residual, v.changes(there[: len(values)]), float(gains.max()))
-            most = every[gains.argmax()][None]
-            judged.append(replace(j, guesses=np.vstack([j.guesses, most])) if touches else j)
+        judged = [_judge(effect, values, v.residual, v.changes(there[: len(values)])) for v in views]
+        if touches:  # nor is what slopes foretell: it counts as far as it comes true
+            foreseen = np.array([j.foreseen for j in judged])
+            every, xi = np.vstack([every, foreseen]), np.vstack([xi, _beside(base, foreseen)])
+            there = np.concatenate([there, fitter.residuals_at(replay, xi[-len(foreseen) :])])
+        gains = [v.gains(replay, xi, there) for v in views]
+        judged = [_tried(j, every, g, touches=touches) for j, g in zip(judged, gains, strict=True)]
         found.append((effect, replay, values, judged))
     best = [max((judged[v].explained for *_, judged in found), default=0.0) for v in range(len(views))]
     least = least if max(best) > least else 0.0
@@ -145,17 +148,35 @@ def span_of(base: Fit, scatter: Scatter, root: Array) -> Array:
     return left[:, size > 1e-7]
 
 
+def _beside(base: Fit, values: Array) -> Array:
+    """Values of an effect (G, P) beside the parameters of a base fit, (G, D + P)."""
+    return np.hstack([np.broadcast_to(base.xi, (len(values), len(base.xi))), values])
+
+
 @dataclass(frozen=True, eq=False)
 class _Judged:
+    """What a candidate explains, as slopes foretell.
+
+    explained: reduction of half the weighted squares [nats]
+    guesses: values to start from (G, P)
+    foreseen: the value that explains so much (P,)
+    """
+
     explained: float
     guesses: Array
+    foreseen: Array
 
 
-def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain: float) -> _Judged:
-    """Best scaling of one change, and of all together; or what the best value gained as it is, if that is more.
+def _tried(judged: _Judged, values: Array, gains: Array, *, touches: bool) -> _Judged:
+    """The same with what values (G, P) gained as they are (G,) [nats]: beside contacts that alone counts."""
+    most = float(gains.max())
+    if not touches:
+        return replace(judged, explained=max(judged.explained, most))
+    return replace(judged, explained=most, guesses=np.vstack([judged.guesses, values[gains.argmax()]]))
 
-    Contacts open and close: what an effect does there is no multiple of what it does at another size.
-    """
+
+def _judge(effect: Effect, values: Array, residual: Array, changes: Array) -> _Judged:
+    """Best scaling of one change, and of all together."""
     neutral = np.array([q.neutral for q in effect.quantities])
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
     decisive = [i for i, q in enumerate(effect.quantities) if not q.shape_only]
@@ -168,6 +189,7 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     best = int(single.argmax())
     guesses = [*values] if scale[best] > 0 else [*values, neutral - (values[best] - neutral)]
     reachable = bool(((neutral >= low) & (neutral <= high))[decisive].all())  # some are neutral at infinity only
+    single_at = len(guesses) + _SIZES.index(1.0)
     if reachable:  # the change is not linear in the size: a few sizes about the best one
         guesses += [neutral + f * scale[best] * (values[best] - neutral) for f in _SIZES]
     explained, mixed = float(single[best]), list[Array]()
@@ -187,4 +209,5 @@ def _judge(effect: Effect, values: Array, residual: Array, changes: Array, gain:
     kept[:, shape] = values[best, shape]
     kept = np.vstack([kept, *mixed])
     kept = np.clip(kept, low, high)
-    return _Judged(max(explained, gain), kept)
+    foreseen = kept[-1] if mixed else kept[single_at] if reachable else np.clip(values[best], low, high)
+    return _Judged(explained, kept, foreseen)

@@ -109,18 +109,21 @@ class Search:
         """What was found, and the stage on which its gap is measured.
 
         Beside contacts some of the short windows are enough for most faults. Where they show nothing, and noise may
-        leave as much as there is, all of them are looked at.
+        leave as much as there is, all of them are looked at; and where these show nothing, too, joints that touch
+        nothing are asked by themselves.
         """
         stage, found = self._to_the_end()
         selection, final = found.selection, found.final
-        if found.accepted or selection.spotless(final) or not selection.at_floor(final):
+        if found.accepted or selection.spotless(final):
             return stage, found
-        if not self._has_more(found.recordings):
-            return stage, found
-        self.report("nothing so far: all short windows")
-        again, steps = replace(self, most=EVERY, before=found)._to_the_end(), found.selection.steps
-        again[1].selection.steps += steps
-        return again
+        if selection.at_floor(final) and self._has_more(found.recordings):
+            self.report("nothing so far: all short windows")
+            search, steps = replace(self, most=EVERY, before=found), selection.steps
+            stage, found = search._to_the_end()
+            found.selection.steps += steps
+        if not found.accepted and found.near is not stage:  # else all joints together were asked over these windows
+            found = self._by_free_joints(stage, found)
+        return stage, found
 
     def _has_more(self, recordings: Recordings) -> bool:
         """Whether there are far more single steps than were looked at."""
@@ -199,7 +202,7 @@ class Search:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
 
         What happens at a joint that touches nothing, short windows may not show: where one stands out in long ones, it
-        is asked about there. Where nothing was found, such joints are asked by themselves.
+        is asked about there.
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
@@ -214,7 +217,7 @@ class Search:
             selection.steps = asked.steps
             if len(more) > len(accepted):
                 return near, replace(found, near=near, selection=asked, final=final, accepted=more)
-        return stage, (over if accepted else self._by_free_joints(stage, over))
+        return stage, over
 
     def _by_free_joints(self, stage: Stage, found: Found) -> Found:
         """What joints that touch nothing ask for over the longest windows, where all joints together ask for nothing.
@@ -222,8 +225,8 @@ class Search:
         Their motion is smooth, and a weak force adds up over it; beside what contacts make of noise at the others it is
         not seen.
         """
-        if self.before is not None or found.selection.spotless(stage.base):
-            return found  # an earlier search asked them, on the same windows; or there is nothing to ask
+        if found.selection.spotless(stage.base):
+            return found
         windows = joined(found.recordings.fit, found.recordings.held)
         dofs = free_dofs(self.start.sim.model, windows.state.reshape(-1, windows.state.shape[2]))
         if not len(dofs):
