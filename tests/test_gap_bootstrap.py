@@ -11,7 +11,7 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, effect
 from nfpde.gap.acceptance import NOISE_TIMES
-from nfpde.gap.bootstrap import NoiseAlone, judging
+from nfpde.gap.bootstrap import DRAWS, FIRST, NoiseAlone, judging
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.recordings import cut_recordings
@@ -166,3 +166,36 @@ def test_what_lies_below_the_floors_own_error_is_asked_about_at_first():
         base = Trial(None, fit, np.zeros(3), np.full(3, gap), np.zeros(3))
         assert chosen.in_noise(base) is hidden
         assert chosen.at_floor(base)
+
+
+WINDOWS = 200
+
+
+class Given(NoiseAlone):
+    """What noise gives in each draw is known [nats over all windows]."""
+
+    def __init__(self, given: list[float]) -> None:
+        self._court: Any = SimpleNamespace(held=SimpleNamespace(windows=range(WINDOWS)))
+        self.given, self.draws = given, 0
+
+    def gain(self, trial, draw):
+        self.draws += 1
+        return self.given[draw] / WINDOWS
+
+
+@pytest.mark.parametrize(
+    ("given", "enough", "gives", "draws"),
+    [
+        ([0.0] * DRAWS, 11 * LEAST_GAIN, False, FIRST),  # ten times what chance gives, and more
+        ([0.0] * DRAWS, 9 * LEAST_GAIN, False, DRAWS),  # less is asked of every draw
+        ([0.0] * 8 + [50.0, 0.0], 9 * LEAST_GAIN, True, 9),
+        ([0.0, 100.0, 200.0] + [0.0] * 7, 1099.0, False, 4),  # the mean of three is 100, so is their deviation
+        ([0.0, 100.0, 200.0] + [0.0] * 7, 1101.0, False, FIRST),
+        ([0.0, 100.0], 99.0, True, 2),
+        ([-1000.0] * DRAWS, 9 * LEAST_GAIN, False, DRAWS),  # what noise takes says nothing of what it gives
+    ],
+)
+def test_draws_end_where_the_first_ones_give_next_to_nothing(given, enough, gives, draws):
+    noise = Given(given)
+    assert noise.gives(ANYTHING, enough / WINDOWS) is gives
+    assert noise.draws == draws
