@@ -116,7 +116,7 @@ def screen(
         xi = _beside(base, every)
         there = fitter.residuals_at(replay, xi)
         judged = [_judge(effect, values, v.residual, v.changes(there[: len(values)])) for v in views]
-        if touches:  # nor is what slopes foretell: it counts as far as it comes true
+        if touches:  # what slopes foretell counts as far as it comes true
             foreseen = np.array([j.foreseen for j in judged])
             every, xi = np.vstack([every, foreseen]), np.vstack([xi, _beside(base, foreseen)])
             there = np.concatenate([there, fitter.residuals_at(replay, xi[-len(foreseen) :])])
