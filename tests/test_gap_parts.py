@@ -368,6 +368,27 @@ def test_who_explains_next_to_nothing_is_no_equal_of_who_explains_little(explain
     assert selection._equal(1.06, trials[0], trials[1], False) is equal
 
 
+@pytest.mark.parametrize(("size", "contacts", "named"), [(3.0, True, 0), (1.02, True, 1), (3.0, False, 1)])
+def test_beside_contacts_fewer_parameters_are_preferred_where_they_explain_the_same(size, contacts, named, monkeypatch):
+    """Of a gap of 16 the best leaves 1, and who has fewer parameters and as much density leaves 9, or next to 1."""
+    rng = np.random.default_rng(14)
+    noise = rng.normal(size=(40, 2, 4))
+    noise /= np.sqrt((noise**2).mean())
+    monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: noise[None])
+    bounds = {"coulomb": (0.0, 1.0), "static": (0.0, 1.0), "speed": (0.01, 1.0)}
+    effects = [effect("stribeck_friction", "elbow", **bounds), effect("coulomb_friction", "elbow", torque=(0.0, 1.0))]
+    density = rng.uniform(9, 11, 40)
+    apart = rng.normal(size=40)
+    densities = density, density - 1e-4 + 0.1 * (apart - apart.mean())
+    trials = [trial(e, d, s * noise) for e, d, s in zip(effects, densities, (1.0, size), strict=True)]
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+    yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
+    found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
+    assert found is not None
+    assert found[1].effect is effects[named]
+
+
 def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     """Where most density is gained in one block alone, the candidate that gains in every block is accepted."""
     rng = np.random.default_rng(10)

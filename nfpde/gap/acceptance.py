@@ -96,8 +96,9 @@ class Acceptance(Rounds):
             untold = untold or (self.court.contradicted(best, trial) and self._leaves_nearly(gap, best, trial))
             if self._equal(gap, best, trial, untold):
                 equal.append(trial)
-        # within the standard error of the best, the one with fewest parameters
-        simplest = sorted((t for t in near if t in gains), key=lambda t: (parameter_count(t), -t.density.mean()))
+        # within the standard error of the best, the one with fewest parameters, if it explains the same
+        alike = (t for t in near if t in gains and t in equal)
+        simplest = sorted(alike, key=lambda t: (parameter_count(t), -t.density.mean()))
         chosen = next(t for t in simplest if t is best or stands(t))
         if chosen.effect is None:
             return None
