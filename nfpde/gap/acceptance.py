@@ -54,6 +54,7 @@ class Acceptance(Rounds):
     scores: slopes of the held-out windows, by the model at which they are
     far: the longest windows, where these are shorter
     last: whether no longer windows follow
+    below: whether a first effect is asked for below the floor of noise, though longer windows follow
     """
 
     yardstick: Yardstick
@@ -62,6 +63,7 @@ class Acceptance(Rounds):
     scores: dict[Trial, HeldScore] = field(default_factory=dict)
     far: Far | None = None
     last: bool = True
+    below: bool = False
 
     def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
         """The candidate that the held-out recordings ask for, if they ask for one."""

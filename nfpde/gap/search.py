@@ -108,9 +108,9 @@ class Search:
     def run(self) -> tuple[Stage, Found]:
         """What was found, and the stage on which its gap is measured.
 
-        Beside contacts some of the short windows are enough for most faults. Where they show nothing, and noise may
-        leave as much as there is, all of them are looked at; and where these show nothing, too, joints that touch
-        nothing are asked by themselves.
+        Beside contacts some of the short windows are enough for most faults. Where noise may leave as much as they
+        show, all single steps are searched first; where all lengths show nothing, all windows of the others, too; and
+        where these show nothing, joints that touch nothing are asked by themselves.
         """
         stage, found = self._to_the_end()
         selection, final = found.selection, found.final
@@ -153,7 +153,11 @@ class Search:
         return found
 
     def _run(self, *, early: bool | None) -> Found:
-        """Search with windows at the beginning of episodes or without them; None: where they show most."""
+        """Search with windows at the beginning of episodes or without them; None: where they show most.
+
+        What an effect does adds up over longer windows, and so does what wrong starts do beside contacts, where they
+        push on average: near the noise all single steps tell more, and more truly, and what these find stands.
+        """
         self.report("fitting the parameters")
         recordings, lead = self.cut(), None
         lengths = self._lengths(recordings)
@@ -178,7 +182,15 @@ class Search:
         selection = replace(self.select(first), last=len(lengths) == 1)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
+        if whole and self.before is None and self._in_noise(first, lengths[-1], selection):
+            self.report("all single steps")
+            lengths[0] = brief(recordings, EVERY)[0]
+            base, court = moved_over(first.base, court, lengths[0])
+            first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=first)
+            selection = replace(_moved(selection, first), below=True)
         near, selection, final, accepted = self._select(first, selection)
+        if selection.below and accepted:
+            lengths = lengths[:1]
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
@@ -194,7 +206,7 @@ class Search:
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
-            selection = replace(selection, last=longer is lengths[-1])
+            selection = replace(selection, last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0, halves=held)
 
@@ -264,6 +276,13 @@ class Search:
             selection = replace(_moved(selection, near), ranking=[])
             final, accepted = selection.run(near.base, earlier, further=further)
         return near, selection, final, accepted
+
+    def _in_noise(self, first: Stage, longer: Recordings, selection: Selection) -> bool:
+        """Whether noise may leave all that single steps and longer windows show, and there is anything at all."""
+        if not selection.at_floor(first.base) or selection.spotless(first.base):
+            return False
+        stage = self.after(first, longer, None)
+        return _moved(selection, stage).at_floor(stage.base)
 
     def _hid(self, near: Stage, anew: Stage, selection: Selection, final: Trial) -> bool:
         """Whether noise that was believed too large, without what was found (`near`), may have hidden more (`anew`).

@@ -90,13 +90,14 @@ class Selection(Acceptance):
     def _nothing_left(self, current: Trial, accepted: Sequence[Accepted]) -> bool:
         """Whether what is left is not worth a search.
 
-        Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too.
+        Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too, and
+        where all single steps are looked at for the first time.
         """
         if self.sigma is not None and self.spotless(current):
             return True
         if self.untouched:
             return bool(accepted) and not self.stands_out(current)
-        if self.sigma is not None and self.last:
+        if self.sigma is not None and (self.last or (self.below and not accepted)):
             return False
         return self.at_floor(current) if accepted else self.in_noise(current)
 
