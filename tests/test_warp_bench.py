@@ -222,7 +222,9 @@ def test_from_end_to_end_on_both_devices(monkeypatch, tmp_path, capsys):
     assert [name.split(":")[0] for name in facts["devices"]] == ["cpu", "warp-cpu"]
     trajectory, softmax, diagnosis = facts["rows"]
     # either search stops within 0.03 standard deviations of its optimum (1e-3 in cost), by its own noise estimate
-    assert trajectory["standard_deviations"] < 0.3
+    assert max(trajectory["standard_deviations"]) < 0.3
+    # nor is it rounding that decides where they stop
+    assert 0 < max(trajectory["by_rounding"]) < 0.3
     assert trajectory["same"]
     assert [len(distances) for distances in softmax["distances"]] == [2, 2]
     assert asked == [("cpu", 40, True, True), ("warp-cpu", 40, True, True)]
@@ -269,6 +271,27 @@ def test_trajectories_are_judged_in_their_standard_deviations(moved, same):
     row = trajectory_row("fit", *fits)
     assert row["same"] == same
     assert row["answers"] == ["0.1 from the truth", "0.1 from the truth, stopped before it settled"]
+
+
+def test_robots_that_rounding_moves_are_told_and_not_judged():
+    """One of three robots is elsewhere on the CPU already; the two that are not have the same answer, 0.1 apart."""
+    value, std = np.array([[1.0], [2.0], [3.0]]), np.array([[0.1], [0.1], [0.1]])
+
+    def fit(*moved):
+        there = value + np.sqrt(2) * std * np.array(moved)[:, None]
+        return {"seconds": 1.0, "distance": 0.1, "converged": True, "value": there.tolist(), "std": std.tolist()}
+
+    here, there = fit(0, 0, 0), fit(0.1, -0.7, 0.02)
+    assert not trajectory_row("fit", here, there)["same"]
+    rounded = [fit(0, 0.2, 0), fit(0.1, 0.5, 0), fit(0, 0, 0.01)]
+    row = trajectory_row("fit", here, there, rounded)
+    assert row["same"]
+    assert row["apart"] == (
+        "0.1 standard deviations at most; 0.3 allowed, of 2 of 3 robots; others, and A by rounding alone: 0.7 (0.5)"
+    )
+    assert row["by_rounding"] == pytest.approx([0.1, 0.5, 0.01])
+    assert not trajectory_row("fit", here, fit(0.4, -0.7, 0.02), rounded)["same"], "a robot that rounding leaves alone"
+    assert not trajectory_row("fit", here, here, [fit(1, 1, 1)])["same"], "no robot is left to judge"
 
 
 def found(verdict="effects", cause="backlash elbow", value=0.1, mass=1.0):

@@ -10,10 +10,11 @@ import pytest
 
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import Whitening, make_simulator, warp, warp_device, warp_model
+from nfpde.sim import Whitening, make_simulator, warp_batches, warp_device, warp_family, warp_model
 from nfpde.sim.warp import WarpSimulator
-from nfpde.sim.warp_batch import CONSTRAINTS, WarpBatch
+from nfpde.sim.warp_batch import WarpBatch
 from nfpde.sim.warp_memory import Footprint, passing_bytes
+from nfpde.sim.warp_overflow import CONSTRAINTS
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
 
 SPACE = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
@@ -147,7 +148,12 @@ def small_memory(monkeypatch):
     monkeypatch.setattr(allocator, "allocate", limited)
     monkeypatch.setattr(allocator, "deallocate", freed)
     # the other half is for what a step allocates and gives back, which is known in advance on a GPU only
-    monkeypatch.setattr(warp, "free_bytes", lambda _: budget // 2)
+    monkeypatch.setattr(warp_batches, "free_bytes", lambda _: budget // 2)
+    # nothing is known or kept from earlier simulators
+    monkeypatch.setattr(warp_family, "FOOTPRINTS", {})
+    monkeypatch.setattr(warp_batches, "FOOTPRINTS", warp_family.FOOTPRINTS)
+    monkeypatch.setattr(warp_model, "_FLAGS", {})
+    warp_family.free_shared(warp_device.open_device("warp-cpu"))
     return held
 
 
@@ -209,18 +215,19 @@ def test_simulators_that_keep_buffers_give_way(small_memory):
     held = sum(small_memory.values())
     small_memory["foreign"] = (4 << 20) - held
     np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
-    assert not any(other._batches for other in others)
+    assert not any(other._kept.kept for other in others)
     del small_memory["foreign"]
     np.testing.assert_allclose(others[0].losses(xi, windows, one), sim.losses(xi, windows, one), rtol=1e-4)
 
 
-def test_no_memory_at_all(small_memory):
+def test_no_memory_at_all(small_memory, monkeypatch):
     """Neither for a model, nor for the few worlds whose size is measured; once there is, all goes on."""
     windows, one = make_windows(load(PENDULUM), 4, 1), np.ones(2)
     sim = pendulum()
     small_memory["foreign"] = 4 << 20
     with pytest.raises(BadInput, match=r"no memory for a few worlds, whose size is measured, beside"):
         sim.losses([[0.5]], windows, one)
+    monkeypatch.setattr(warp_model, "_LAST", {})  # else it is there already
     with pytest.raises(BadInput, match=r"no memory for the model beside"):
         pendulum()
     del small_memory["foreign"]
@@ -260,7 +267,7 @@ def test_the_memory_of_a_batch_is_that_of_its_arrays(vectors, windows):
     space = ParameterSpace([Parameter("body_mass", "rod", 0.5, 2.0)])
     sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
     sim.losses(np.linspace(0.6, 1.9, vectors)[:, None], make_windows(sim.model, windows, 3), np.ones(2))
-    (sizes, batch), *others = sim._batches.items()
+    (sizes, batch), *others = sim._kept.kept.items()
     assert not others
     assert batch._constants is not None
     few, more = (passing_bytes(sim._model, sizes, n, sim.device) for n in (2, 6))
@@ -291,5 +298,7 @@ def test_few_shapes_on_a_gpu():
         xi = np.linspace(0.1, 0.9, count)[:, None]
         np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(2)), plain.losses(xi, windows, np.ones(2)))
         np.testing.assert_array_equal(sim.predict(xi, windows), plain.predict(xi, windows))
+    assert sim.usage().nworld == 64
+    sim.losses(xi, windows, np.ones(2))
     assert sim.usage().nworld == 4 * 8
-    assert (len(sim._batches), len(plain._batches)) == (2, 3)  # losses and predictions, of one shape or of two
+    assert (len(sim._kept.kept), len(plain._kept.kept)) == (2, 3)  # losses and predictions, of one shape or of two

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from nfpde.estimation.trajectory.estimator import STILL
@@ -13,8 +15,9 @@ CHANCE = 0.05
 """How often fits by softmax on two devices that do the same are called different."""
 
 RULES = (
-    f"trajectory: no robot's value differs by more than {STILL:g} standard deviations of the two fits together: as far "
-    "as a search may still move when it stops",
+    f"trajectory: no robot's value differs by more than {STILL:g} standard deviations of the two fits together, as far "
+    "as a search may still move when it stops; robots whose value on A moves farther than that when its predictions "
+    "are changed by single precision's rounding error are not judged, and both distances are told",
     "softmax: the mean distances to the truth over all seeds differ by no more standard errors than chance leaves 19 "
     "of 20 times (Student's t; the errors from the spread over seeds on each device)",
     "diagnosis: the same verdict and the same causes, and every fitted value within the other's 95 % interval",
@@ -39,13 +42,25 @@ def softmax_row(what: str, here: list[dict[str, Any]], there: list[dict[str, Any
     }
 
 
-def trajectory_row(what: str, here: dict[str, Any], there: dict[str, Any]) -> dict[str, Any]:
+def trajectory_row(
+    what: str, here: dict[str, Any], there: dict[str, Any], rounded: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
     """The same fit on both devices.
 
-    Each has `seconds`, `distance` to the truth, `converged`, and robots by parameters of `value` and `std`.
+    Args:
+        what: of the row.
+        here: `seconds`, `distance` to the truth, `converged`, and robots by parameters of `value` and `std`.
+        there: the same on the other device.
+        rounded: the same as here, with predictions changed by rounding errors.
     """
-    (a, a_std), (b, b_std) = ([np.array(fit[key]) for key in ("value", "std")] for fit in (here, there))
-    apart = float(np.max(np.abs(a - b) / np.hypot(a_std, b_std)))
+    apart = _apart(here, there)
+    repeats = np.max([np.zeros(len(apart)), *(_apart(here, fit) for fit in rounded)], axis=0)
+    firm = repeats <= STILL
+    worst = float(apart[firm].max()) if firm.any() else np.inf
+    said = [f"{worst:.2g} standard deviations at most; {STILL:g} allowed"]
+    if not firm.all():
+        others = ", ".join(f"{d:.2g} ({r:.2g})" for d, r in zip(apart[~firm], repeats[~firm], strict=True))
+        said = [f"{said[0]}, of {firm.sum()} of {len(firm)} robots", f"others, and A by rounding alone: {others}"]
     return {
         "what": what,
         "seconds": [fit["seconds"] for fit in (here, there)],
@@ -53,10 +68,17 @@ def trajectory_row(what: str, here: dict[str, Any], there: dict[str, Any]) -> di
             f"{fit['distance']:.3g} from the truth" + ", stopped before it settled" * (not fit["converged"])
             for fit in (here, there)
         ],
-        "apart": f"{apart:.2g} standard deviations at most; {STILL:g} allowed",
-        "standard_deviations": apart,
-        "same": apart <= STILL,
+        "apart": "; ".join(said),
+        "standard_deviations": apart.tolist(),
+        "by_rounding": repeats.tolist(),
+        "same": bool(worst <= STILL),
     }
+
+
+def _apart(here: dict[str, Any], there: dict[str, Any]) -> NDArray[np.float64]:
+    """Of each robot, the most that a value differs, in standard deviations of both fits together."""
+    (a, a_std), (b, b_std) = ([np.array(fit[key]) for key in ("value", "std")] for fit in (here, there))
+    return np.max(np.abs(a - b) / np.hypot(a_std, b_std), axis=1)
 
 
 def diagnosis_row(what: str, here: dict[str, Any], there: dict[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.store import write_public
 from nfpde.bench.partial import Partial
+from nfpde.bench.rounded import RoundedSimulator
 from nfpde.benchmarks import collect, robot
 from nfpde.dataset import Dataset, load_dataset
 from nfpde.errors import BadInput
@@ -48,6 +49,7 @@ class Sizes:
     episodes, steps: of the recordings that are fitted
     softmax, trajectory: settings of the fits
     seeds: of the fits by softmax, two or more
+    rounded: fits by trajectory on the CPU with predictions changed by rounding errors, that tell what is to be expected
     systems: hidden faults to diagnose, by index
     windows: of a diagnosis; None for its own choice
     """
@@ -57,6 +59,7 @@ class Sizes:
     softmax: NfpdeConfig = field(default_factory=NfpdeConfig)
     trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
     seeds: int = 5
+    rounded: int = 3
     systems: tuple[int, ...] = (2, 0, 1)
     windows: int | None = None
 
@@ -112,8 +115,15 @@ def run(quick: bool, out: Path, device: Device) -> None:
         return partial.get(f"{method}, {d}, seed {seed}", lambda: _fit(method, data, truth, config, d, seed))
 
     def trajectory() -> dict[str, Any]:
-        fits = (of_fit("trajectory", sizes.trajectory, d, SEED) for d in (here, there))
-        return trajectory_row(f"fit by trajectory, {ROBOT}, {len(data)} episodes", *fits)
+        first, second = (of_fit("trajectory", sizes.trajectory, d, SEED) for d in (here, there))
+        rounded = [
+            partial.get(
+                f"trajectory, {here}, rounding {k}",
+                lambda k=k: _fit("trajectory", data, truth, sizes.trajectory, here, SEED, rounding=k),
+            )
+            for k in range(sizes.rounded)
+        ]
+        return trajectory_row(f"fit by trajectory, {ROBOT}, {len(data)} episodes", first, second, rounded)
 
     def softmax() -> dict[str, Any]:
         fits = ([of_fit("softmax", sizes.softmax, d, seed) for seed in range(sizes.seeds)] for d in (here, there))
@@ -145,11 +155,21 @@ def both(device: Device) -> tuple[Device, Device]:
 
 
 def _fit(
-    method: Method, data: Dataset, truth: Truth, config: NfpdeConfig | TrajectoryConfig, device: Device, seed: int
+    method: Method,
+    data: Dataset,
+    truth: Truth,
+    config: NfpdeConfig | TrajectoryConfig,
+    device: Device,
+    seed: int,
+    rounding: int | None = None,
 ) -> dict[str, Any]:
-    """A fit: seconds, distance to the truth, and the robots' values where it tells them."""
+    """A fit: seconds, distance to the truth, and the robots' values where it tells them; `rounding` is a seed."""
     body = robot(ROBOT)
-    simulator = make_simulator(body.path, body.space, device=device)
+    simulator = (
+        make_simulator(body.path, body.space, device=device)
+        if rounding is None
+        else RoundedSimulator(body.path, body.space, rounding)
+    )
     result, seconds = _timed(lambda: fit(simulator, data, method=method, config=config, seed=seed, quiet=True))
     width = body.space.width
     found: dict[str, Any] = {

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import version
 from itertools import product
 from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 import warp as wp
@@ -21,24 +19,16 @@ from nfpde.parameters import ParameterSpace
 from nfpde.sim.alike import ModelSource
 from nfpde.sim.cpu import MujocoSimulator
 from nfpde.sim.simulator import Array, Simulator, check_rows
-from nfpde.sim.warp_batch import COLLIDER, CONSTRAINTS, CONTACTS, Output, Sizes, WarpBatch
-from nfpde.sim.warp_device import WarpDevice, free_bytes, open_device, out_of_memory, ran_out, room_for
+from nfpde.sim.warp_batch import Output, Sizes, WarpBatch
+from nfpde.sim.warp_batches import SMALL, WarpBatches
+from nfpde.sim.warp_device import WarpDevice, open_device, out_of_memory, ran_out, room_for
 from nfpde.sim.warp_effects import WarpEffects
-from nfpde.sim.warp_memory import Footprint, footprint
+from nfpde.sim.warp_landing import fetched
 from nfpde.sim.warp_model import WarpModel
-from nfpde.sim.warp_sizes import buffer_sizes, cut, longest, power_of_two
+from nfpde.sim.warp_overflow import COLLIDER, CONSTRAINTS, CONTACTS
+from nfpde.sim.warp_sizes import buffer_sizes, cut, longest, power_of_two, roomy
 from nfpde.sim.warp_whitening import WarpWhitening
 from nfpde.sim.whitening import Whitening
-
-_ALIVE: WeakSet[WarpSimulator] = WeakSet()
-"""All simulators: what one does not use, another may need."""
-
-SMALL = 1 << 12
-"""Worlds up to which another shape, with buffers and a graph of its own, costs a GPU more than worlds beyond those that
-were asked for: so few it steps in no more time than one."""
-
-MOST_BATCHES = 3
-"""Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
 
 
 @dataclass(frozen=True)
@@ -103,13 +93,10 @@ class WarpSimulator(Simulator):
         with wp.ScopedDevice(self.device), room_for(self.device, "the model"):
             self._effects = WarpEffects(self.effects, writer.nbase, float(self.model.opt.timestep))
             self._model = WarpModel(self.model, self.space, writer, self._effects.step_fields)
-        self._batches: dict[Sizes, WarpBatch] = {}
+            self._effects.look_up(self._model.model)
+        self._kept = WarpBatches(self._model, self._effects, self.states, self.device)
         self._buffers: tuple[int, int] | None = None
-        self._memory = free_bytes(self.device)
-        self._footprints: dict[Sizes, Footprint] = {}
-        self._whitening: WarpWhitening | None = None
         self._rounds = self.device.is_cuda
-        _ALIVE.add(self)
 
     def rollout(self, xi: Array, windows: Windows, vector: NDArray[np.intp], window: NDArray[np.intp]) -> Array:
         """See `Simulator.rollout`; more worlds than fit at once are simulated in chunks."""
@@ -141,22 +128,26 @@ class WarpSimulator(Simulator):
         """See `Simulator.costs`; the whitening is sent once, and a number for every vector comes back."""
         unit = self._check_unit(windows, scale)
         check_rows(vector, windows, whitening)
-        if self._whitening is None or self._whitening.whitening is not whitening:
-            self._whitening = None  # two of them need not fit
+        there = self._kept.whitening
+        if there is None or there.whitening is not whitening:
+            there = self._kept.whitening = None  # two of them need not fit
             with room_for(self.device, f"the whitening of {len(windows)} windows"):
-                self._whitening = WarpWhitening(whitening, self.device)
+                there = self._kept.whitening = WarpWhitening(whitening, self.device)
         out = np.zeros(len(xi))
         for part, own, batch in self._rows(xi, windows, vector, window, "residuals", unit):
             continues = part.start > 0 and bool(vector[part.start] == vector[part.start - 1])
             vectors, v = np.unique(vector[part], return_inverse=True)
-            out[vectors] += self._whitening.costs(batch.residual, batch.white, v, own, continues=continues)
+            out[vectors] += there.costs(batch.residual, batch.white, v, own, continues=continues)
         return out
 
     def predict(self, xi: ArrayLike, windows: Windows) -> Array:
         """See `Simulator.predict`."""
         xi = self._check(xi, windows)
         self._check_windows(windows)
-        out = np.empty((len(xi), len(windows), windows.horizon, self.states.nx))
+        m, n = len(xi), len(windows)
+        if m * n <= SMALL:  # by pairs: batches that other simulators may run, of fewer shapes
+            return self.rollout(xi, windows, *np.divmod(np.arange(m * n), n)).reshape(m, n, -1, self.states.nx)
+        out = np.empty((m, n, windows.horizon, self.states.nx))
         for vectors, chosen, batch in self._tiles(xi, windows, None):
             out[vectors, chosen] = batch.all_predictions(vectors.stop - vectors.start, chosen.stop - chosen.start)
         return out
@@ -164,8 +155,7 @@ class WarpSimulator(Simulator):
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
         found: Any = self.losses_on_device(xi, windows, scale)
-        fetched = found.numpy() if found.is_contiguous else found.transpose().numpy().T
-        return np.array(fetched) if self.device.is_cpu else fetched  # there it is the batch's memory
+        return fetched(found) if found.is_contiguous else fetched(found.transpose()).T
 
     def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> wp.array:
         """See `Simulator.losses_on_device`: the batch's own memory where all pairs run at once."""
@@ -206,8 +196,8 @@ class WarpSimulator(Simulator):
 
     def release(self) -> None:
         """Give the memory of all buffers back; the next call makes them anew."""
-        self._free_batches()
-        self._whitening = None
+        self._kept.free()
+        self._kept.whitening = None
 
     def usage(self) -> Usage:
         """What the last call took.
@@ -215,10 +205,10 @@ class WarpSimulator(Simulator):
         Raises:
             BadInput: nothing was simulated yet.
         """
-        if not self._batches:
+        if not self._kept.kept:
             raise BadInput("nothing was simulated yet; call losses or predict first")
-        sizes = next(reversed(self._batches))
-        return Usage(sizes.nworld, self._bytes(sizes), sizes.nconmax, sizes.njmax)
+        sizes = next(reversed(self._kept.kept))
+        return Usage(sizes.nworld, self._kept.nbytes(sizes), sizes.nconmax, sizes.njmax)
 
     def _rows(
         self,
@@ -235,12 +225,13 @@ class WarpSimulator(Simulator):
         done = 0
         while done < len(vector):
             kind = self._kind(windows, output, all_pairs=False)
-            most = self.nworld or self._footprint(kind).pairs(self._memory)
+            most = self.nworld or self._kept.footprint(kind).pairs(self._kept.memory)
             parts = cut(slice(done, len(vector)), most)
             largest = longest(parts)
             # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
-            n = largest if len(parts) > 1 else min(most, power_of_two(largest))
-            sizes = replace(kind, nrow=n, nworld=n, nwindow=n)
+            rounded = roomy(largest) if self._rounds else power_of_two(largest)
+            n = largest if len(parts) > 1 else min(most, rounded)
+            sizes = replace(kind, nrow=n, nworld=n, nwindow=n, wide=output == "states" and n <= SMALL)
             for part in parts:
                 vectors, v = np.unique(vector[part], return_inverse=True)
                 chosen, w = np.unique(window[part], return_inverse=True)
@@ -290,14 +281,15 @@ class WarpSimulator(Simulator):
         Returns:
             The batch; None where fewer worlds than these fit with larger buffers.
         """
-        fields = self._model.stage(xi, derive=self._model.derived is not None and sizes.all_pairs)
+        layout = self._model.wide if sizes.wide else self._model.narrow
+        fields = self._model.stage(xi, layout, derive=self._model.derived is not None and sizes.all_pairs)
         values, active = self._effects.stage(xi)
         while True:
             nconmax, njmax = self._buffers or buffer_sizes(self.model, windows)
             wanted = replace(sizes, nconmax=nconmax, njmax=njmax)
             batch, overflow = None, 0
             try:
-                batch = self._batch(wanted)
+                batch = self._kept.get(wanted)
                 if pairs is None:
                     batch.pair_all(len(xi), len(windows))
                 else:
@@ -311,9 +303,9 @@ class WarpSimulator(Simulator):
                 batch = None
             if batch is None:
                 # here the error, and with it all that its frames hold, is gone
-                self._free_batches()
-                if not self._others_released():
-                    raise out_of_memory(self.device, self._memory, wanted.nworld, self._bytes(wanted))
+                self._kept.free()
+                if not self._kept.others_freed():
+                    raise out_of_memory(self.device, self._kept.memory, wanted.nworld, self._kept.nbytes(wanted))
                 continue
             if overflow & COLLIDER:
                 raise BadModel(
@@ -325,40 +317,16 @@ class WarpSimulator(Simulator):
             grown = (2 * nconmax if overflow & CONTACTS else nconmax, 2 * njmax if overflow & CONSTRAINTS else njmax)
             self._buffers = grown
             # freed, not dropped: whoever works through what it gave before still holds it
-            self._free_batches()
+            self._kept.free()
             if sizes.nworld > 1 and not self._fits(replace(sizes, nconmax=grown[0], njmax=grown[1])):
                 return None
-
-    def _free_batches(self) -> None:
-        while self._batches:
-            self._batches.popitem()[1].free()
-
-    def _others_released(self) -> bool:
-        """Have other simulators on the device give back what they keep for their next call; whether any did."""
-        keeping = [s for s in _ALIVE if s is not self and s.device == self.device and s._batches]
-        for simulator in keeping:
-            simulator.release()
-        wp.synchronize_device(self.device)
-        return bool(keeping)
-
-    def _batch(self, sizes: Sizes) -> WarpBatch:
-        """The batch of a shape, made or kept from an earlier call."""
-        batch = self._batches.pop(sizes, None)
-        if batch is None:
-            while self._batches and (
-                len(self._batches) >= MOST_BATCHES or self._bytes(*self._batches, sizes) > self._memory
-            ):
-                self._batches.pop(next(iter(self._batches))).free()
-            batch = WarpBatch(self._model, self._effects, self.states, sizes, self.device)
-        self._batches[sizes] = batch
-        return batch
 
     def _kind(self, windows: Windows, output: Output, *, all_pairs: bool = True) -> Sizes:
         steps = min(self.history_steps(windows.control_dt), windows.nhistory), self.recalled_steps(windows)
         nsub = self.substeps(windows.control_dt)
         if self._buffers is None:
             self._buffers = buffer_sizes(self.model, windows)
-        return Sizes(1, 1, 1, windows.horizon, *steps, nsub, output, all_pairs, *self._buffers)
+        return Sizes(1, 1, 1, windows.horizon, *steps, nsub, output, all_pairs, False, *self._buffers)
 
     def _cut(self, kind: Sizes, vectors: slice, windows: slice) -> tuple[list[slice], list[slice]]:
         """Pieces of the vectors and of the windows: as many at once as were asked for, or as fit."""
@@ -366,30 +334,11 @@ class WarpSimulator(Simulator):
             rows = cut(vectors, self.nworld)
             return rows, cut(windows, max(1, self.nworld // longest(rows)))
         m, n = longest([vectors]), longest([windows])
-        most = self._footprint(kind).tile(self._memory - 8 * m * n, m, n)  # beside their losses
+        most = self._kept.footprint(kind).tile(self._kept.memory - 8 * m * n, m, n)  # beside their losses
         return cut(vectors, most[0]), cut(windows, most[1])
 
     def _fits(self, sizes: Sizes) -> bool:
-        return sizes.nworld <= self.nworld if self.nworld else self._bytes(sizes) <= self._memory
-
-    def _bytes(self, *batches: Sizes) -> int:
-        return sum(self._footprint(sizes).of(sizes) for sizes in batches)
-
-    def _footprint(self, sizes: Sizes) -> Footprint:
-        """Memory of batches of that kind, measured once for each."""
-        kind = replace(sizes, nrow=1, nworld=1, nwindow=1)
-        if kind not in self._footprints:
-            measured = partial(footprint, self._model, self._effects, self.states, kind, self.device)
-            try:
-                self._footprints[kind] = measured()
-            except RuntimeError as error:
-                if not ran_out(error):
-                    raise
-                self._free_batches()
-                self._others_released()
-                with room_for(self.device, "a few worlds, whose size is measured,"):
-                    self._footprints[kind] = measured()
-        return self._footprints[kind]
+        return sizes.nworld <= self.nworld if self.nworld else self._kept.nbytes(sizes) <= self._kept.memory
 
     def _check_windows(self, windows: Windows) -> None:
         if windows.ctrl.shape[2] != self.model.nu:

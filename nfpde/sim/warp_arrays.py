@@ -9,6 +9,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from nfpde.sim.warp_landing import fetched
+
 
 def arrays_of(thing: Any) -> list[wp.array]:
     """All arrays of a dataclass of Warp's, nested ones included."""
@@ -23,9 +25,9 @@ def arrays_of(thing: Any) -> list[wp.array]:
 
 
 def first(array: wp.array, count: int) -> NDArray[Any]:
-    """The first rows of an array, without sending the rest."""
+    """The first rows of an array, without sending the rest; without a GPU they are its own memory."""
     rows: Any = array[:count]
-    return np.asarray(rows.numpy())
+    return fetched(rows) if rows.device.is_cuda else np.asarray(rows.numpy())
 
 
 def fill(array: wp.array, values: NDArray[Any]) -> None:

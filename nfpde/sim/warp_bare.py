@@ -64,11 +64,11 @@ def bare_stepping(
 def _own_rows(simulator: WarpSimulator, xi: Array, nworld: int) -> mjw.Model:
     """The model as MuJoCo Warp steps it with a row of its own for each vector."""
     varied = simulator._model
-    m, fields = varied.put(len(xi), nworld)
+    m, fields = varied.put(varied.narrow, len(xi), nworld)
     m.callback = copy.copy(m.callback)
     m.callback.passive = None  # a batch's, that looks for overflows
-    rows = varied.stage(xi, derive=False)
-    for name, columns in varied.columns.items():
+    rows = varied.stage(xi, varied.narrow, derive=False)
+    for name, columns in varied.narrow.columns.items():
         fields[name].assign(np.ascontiguousarray(rows[:, columns]))
     return m
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -22,15 +22,9 @@ from nfpde.sim.warp_constants import WarpConstants
 from nfpde.sim.warp_effects import Staged, WarpEffects
 from nfpde.sim.warp_graphs import Graphs
 from nfpde.sim.warp_model import WarpModel
+from nfpde.sim.warp_overflow import flag_overflow
 
 Array = NDArray[np.float64]
-
-_O = mjw.OverflowType
-CONSTRAINTS = int(_O.NEFC | _O.NJMAX_NNZ)
-CONTACTS = int(_O.BROADPHASE | _O.NARROWPHASE | _O.CCD)
-COLLIDER = int(_O.EPA_HORIZON | _O.HFIELD)
-"""Overflows of the collision code of meshes and height fields, whose buffers have one size."""
-
 
 Output = Literal["states", "losses", "residuals"]
 
@@ -48,6 +42,7 @@ class Sizes:
     nsub: physics steps in a control step
     output: what is kept of each step: the predicted states, their part of the loss, or their residuals
     all_pairs: whether every row meets every window; otherwise each world has a pair of its own
+    wide: whether there are rows of all fields of `WIDE`, so that other simulators may run the batch
     nconmax: contacts in a world, on average
     njmax: constraints in a world
     """
@@ -61,8 +56,13 @@ class Sizes:
     nsub: int
     output: Output
     all_pairs: bool
+    wide: bool
     nconmax: int
     njmax: int
+
+    def single(self) -> Sizes:
+        """That of a batch of one world, which tells what kind it is."""
+        return replace(self, nrow=1, nworld=1, nwindow=1)
 
 
 class WarpBatch:
@@ -83,11 +83,12 @@ class WarpBatch:
         self._model, self._effects, self._space = model, effects, space
         z, nx, nu = sizes, space.nx, model.model.nu
         with wp.ScopedDevice(device):
-            self.m, self._fields = model.put(z.nrow, z.nworld)
-            self._seen = {**self._fields, **model.views(self.m, effects.read_fields)}
+            self._layout = model.wide if z.wide else model.narrow
+            self.m, self._fields = model.put(self._layout, z.nrow, z.nworld)
+            self._seen = {**model.views(self.m, effects.read_fields), **self._fields}
             self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
-            self.m.callback.passive = _flag_overflow
-            self._staged_rows = wp.zeros((z.nrow, model.ncolumn), dtype=float)
+            self.m.callback.passive = flag_overflow
+            self._staged_rows = wp.zeros((z.nrow, self._layout.width), dtype=float)
             self._staged = Staged(
                 values=wp.zeros((z.nrow, max(1, effects.nvalue)), dtype=wp.float64),
                 active=wp.zeros((z.nrow, max(1, len(effects.effects))), dtype=int),
@@ -116,7 +117,7 @@ class WarpBatch:
             self._step = wp.zeros(1, dtype=int)
             self._overflow = wp.zeros(1, dtype=int)
             self._static_geoms = wp.array(model.static_geoms, dtype=int)
-            self._elements = effects.elements(model.model)
+            self._elements = effects.elements()
             self._memories = effects.memories(self._elements, z.nworld)
             # pairs of their own have a row per world, which the host writes; see WarpModel.stage
             self.derives = bool(model.derived) and z.all_pairs
@@ -212,6 +213,19 @@ class WarpBatch:
         """Residuals of the first worlds, (count, C)."""
         return np.asarray(first(self.residual, count), np.float64)
 
+    def serve(self, effects: WarpEffects) -> None:
+        """Run with other effects from now on, which are alike and act on as many elements each; see `Family`."""
+        if effects is not self._effects:
+            self._effects = effects
+            for place, arrays in self._elements.items():
+                for array, numbers in zip(arrays, effects.numbers[place], strict=True):
+                    fill(array, numbers)
+
+    @property
+    def freed(self) -> bool:
+        """Whether its memory was given back."""
+        return not vars(self)
+
     def poison(self) -> None:
         """Fill with NaN what a call sends and what it answers: what is not written cannot pass for an answer."""
         self._windows = None
@@ -237,11 +251,12 @@ class WarpBatch:
 
     def free(self) -> None:
         """Let go of all memory, whoever still holds the batch; it cannot run again."""
-        self._graphs.join()
-        vars(self).clear()
+        if not self.freed:
+            self._graphs.join()
+            vars(self).clear()
 
     def _set_fields(self) -> None:
-        for name, columns in self._model.columns.items():
+        for name, columns in self._layout.columns.items():
             if name not in self._model.step_fields and not (self.derives and name in (self._model.derived or ())):
                 self._gather(name, columns, self._row)
         if self._constants is not None:
@@ -360,7 +375,7 @@ class WarpBatch:
             wp.launch(states._set_ctrl, dim=(z.nworld, nu), inputs=inputs, outputs=[d.ctrl])
         if self._effects.on_step:
             for name in self._model.step_fields:
-                self._gather(name, self._model.columns[name], self._staged.world_row)
+                self._gather(name, self._layout.columns[name], self._staged.world_row)
             d.qfrc_applied.zero_()
             d.xfrc_applied.zero_()
             self._effects.before_step(self._elements, self._memories, self._staged, d, self._seen, recalled=recalled)
@@ -379,16 +394,3 @@ class WarpBatch:
     def _gather(self, name: str, columns: slice, row: wp.array) -> None:
         field = self._fields[name]
         wp.launch(rows._gather_field, dim=field.shape, inputs=[self._staged_rows, row, columns.start], outputs=[field])
-
-
-def _flag_overflow(m: mjw.Model, d: mjw.Data) -> None:
-    """Called by MuJoCo Warp in every evaluation of the forces, of which a Runge-Kutta step has four.
-
-    No method: a batch that its own model refers to would keep its memory until Python looks for such circles.
-    """
-    wp.launch(
-        states._flag_overflow,
-        dim=d.nworld,
-        inputs=[d.nefc, d.nacon, d.ncollision, d.njmax, d.naconmax, int(_O.NEFC), int(_O.NARROWPHASE)],
-        outputs=[d.overflow],
-    )

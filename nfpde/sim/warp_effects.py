@@ -5,7 +5,7 @@ Effects that only write fields of the model need none: `ModelWriter` writes them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,6 +105,8 @@ _OF_DATA = ("ctrl", "qpos", "qvel", "qfrc_applied", "xfrc_applied")
 Elements = dict[tuple[int, str], list[wp.array]]
 """By effect and place, what its kernel gets of each element."""
 
+_PLACES = {"command": COMMANDS, "step": STEPS, "sensor": SENSORS}
+
 
 class WarpEffects:
     """The effects of a simulator on a Warp device.
@@ -113,6 +115,9 @@ class WarpEffects:
         effects: bound effects.
         nbase: column of a parameter vector where their parameters begin.
         timestep: of the physics [s].
+
+    Attributes:
+        numbers: what the kernels get of each element, as `Elements`, on the host; see `look_up`.
 
     Raises:
         BadEffect: an effect without a kernel.
@@ -123,6 +128,7 @@ class WarpEffects:
             _refuse_without_kernel(e)
         self.effects = tuple(effects)
         self.timestep = timestep
+        self.numbers: dict[tuple[int, str], list[NDArray[Any]]] = {}
         self.columns = effect_columns(effects, nbase)
         self.nbase = nbase
         self.nvalue = sum(len(e.parameters) for e in effects)
@@ -142,15 +148,25 @@ class WarpEffects:
             active[:, i] = e.active(xi[:, c])
         return np.ascontiguousarray(xi[:, self.nbase :]), active
 
-    def elements(self, model: mujoco.MjModel) -> Elements:
-        """What the kernels get of each element, on Warp's current device."""
-        places = {"command": COMMANDS, "step": STEPS, "sensor": SENSORS}
-        return {
-            (i, place): [wp.array(numbers_of(e, model, n)) for n in known[e.name].elements]
+    def look_up(self, model: mujoco.MjModel) -> None:
+        """Find the numbers of all elements in the model as the worlds share it, before anything runs."""
+        self.numbers = {
+            (i, place): [numbers_of(e, model, n) for n in known[e.name].elements]
             for i, e in enumerate(self.effects)
-            for place, known in places.items()
+            for place, known in _PLACES.items()
             if e.name in known
         }
+
+    def elements(self) -> Elements:
+        """What the kernels get of each element, on Warp's current device."""
+        return {place: [wp.array(n) for n in numbers] for place, numbers in self.numbers.items()}
+
+    def alike(self) -> tuple[Hashable, ...]:
+        """Equal for effects that the same captured work serves, with other numbers: all but where they act."""
+        return tuple(
+            (e.name, len(e.parameters), bool(e.recall_time()), *(self._sizes(i, place) for place in _PLACES))
+            for i, e in enumerate(self.effects)
+        )
 
     def change_commands(self, elements: Elements, staged: Staged, signal: wp.array) -> None:
         """Let the effects change the commands of all physics steps, (nworld, S, nu)."""
@@ -221,6 +237,9 @@ class WarpEffects:
                 inputs=[*staged.arrays(), *numbers, self._first(i), step, nq, -1 if back else 1],
                 outputs=[states],
             )
+
+    def _sizes(self, effect: int, place: str) -> tuple[int, ...]:
+        return tuple(numbers.size for numbers in self.numbers.get((effect, place), ()))
 
     def _first(self, effect: int) -> int:
         """Its first column of the staged values."""

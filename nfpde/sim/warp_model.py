@@ -43,7 +43,46 @@ _WIDE = 1e30
 _LAST: dict[tuple[str, str], mjw.Model] = {}
 """The model that was put on a device last; a diagnosis makes a simulator of one model for each cause it tries."""
 
+_FLAGS: dict[tuple[str, tuple[str, ...], bytes], dict[str, bool]] = {}
+"""Switches by model, fields that vary and their signs; finding them is slow, and many simulators have the same."""
+
+WIDE = (
+    *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_subtreemass", "body_invweight0", "jnt_stiffness"),
+    *("jnt_actfrcrange", "qpos_spring", "dof_invweight0", "dof_damping", "dof_armature", "dof_frictionloss"),
+    *("geom_friction", "geom_solref", "tendon_invweight0", "actuator_acc0", "actuator_gainprm", "actuator_biasprm"),
+    *("actuator_gear", "actuator_forcerange", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity"),
+    "opt.timestep",
+)
+"""What parameters and effects change in most models. Small batches have rows of all of them, so that simulators whose
+parameters change different ones run each other's."""
+
 _PLACES = {"geom_pos", "geom_quat", "body_pos", "body_quat"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Fields of the model that have rows, side by side in the staged ones.
+
+    fields: their names, in order
+    fixed: those that no parameter writes, whose rows all hold the model's own values
+    columns: where each stands
+    width: numbers in a row
+    """
+
+    fields: tuple[str, ...]
+    fixed: tuple[str, ...]
+    columns: dict[str, slice]
+    width: int
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, fields: set[str], fixed: set[str]) -> Layout:
+        """That of such fields of a model."""
+        ordered, columns, first = sorted(fields), {}, 0
+        for name in ordered:
+            size = get_field(model, name).size
+            columns[name] = slice(first, first + size)
+            first += size
+        return cls(tuple(ordered), tuple(sorted(fixed)), columns, first)
 
 
 class WarpModel:
@@ -54,6 +93,9 @@ class WarpModel:
         space: the parameters, those of effects included.
         writer: writes parameter vectors into it.
         step_fields: model fields that effects change before every physics step.
+
+    Attributes:
+        narrow, wide: fields that have rows in large batches, and in small ones; see `WIDE`.
 
     Raises:
         BadModel: MuJoCo Warp does not support the model, or one of the fields that vary.
@@ -68,51 +110,49 @@ class WarpModel:
         self.step_fields = step_fields
         self._switches = [f for f in _LIMITS if f in writer.fields]
         needed = {*step_fields, *(_LIMITS[f] for f in self._switches)}
-        self._fixed = sorted(needed - {*writer.fields})
-        self.fields = sorted({*writer.fields, *needed} - {*UNUSED, *self._switches})
+        fixed, unused = needed - {*writer.fields}, {*UNUSED, *self._switches}
+        fields = {*writer.fields, *needed} - unused
+        wide = {name for name in WIDE if get_field(model, name).size}
+        self.narrow = Layout.of(self.model, fields, fixed)
+        self.wide = Layout.of(self.model, fields | wide, fixed | (wide - fields))
         self.derived = self._derived_on_device(space)
-        self.columns: dict[str, slice] = {}
-        first = 0
-        for name in self.fields:
-            size = get_field(self.model, name).size
-            self.columns[name] = slice(first, first + size)
-            first += size
-        self.ncolumn = first
         self._switch_on()
-        self.nominal = _shared(self.model)
-        for name in self.fields:
+        self.hash = model_hash(self.model)
+        self.nominal = _shared(self.model, self.hash)
+        for name in self.wide.fields:
             _refuse_shared(self.nominal, name)
-        for name, value in self._static_flags().items():
+        self.flags = self._static_flags()
+        for name, value in self.flags.items():
             setattr(self.nominal, name, value)
         if wp.get_device().is_cuda and not wp.is_conditional_graph_supported():
             self.nominal.opt.graph_conditional = False  # before CUDA 12.4
         self.nominal.opt.warn_overflow = 0  # read from the data instead: printing stops the GPU
         moving = model.body_weldid[model.geom_bodyid] != 0
         on_mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] != -1
-        place = _PLACES & {*self.fields}
+        place = _PLACES & fields
         self.static_geoms = np.flatnonzero(~moving & ~on_mocap).astype(np.int32) if place else np.empty(0, np.int32)
 
-    def stage(self, xi: Array, *, derive: bool) -> NDArray[np.float32]:
-        """The fields of every parameter vector side by side: xi (M, D) to (M, ncolumn).
+    def stage(self, xi: Array, layout: Layout, *, derive: bool) -> NDArray[np.float32]:
+        """The fields of every parameter vector side by side: xi (M, D) to (M, layout.width).
 
         With `derive`, the columns of `derived` hold nothing: `derive` computes them on the device.
         """
-        out = np.zeros((len(xi), self.ncolumn), np.float32)
+        out = np.zeros((len(xi), layout.width), np.float32)
         written = self.writer.written_rows(xi) if derive else self.writer.rows(xi)
-        for name in self._fixed:
+        for name in layout.fixed:
             written[name] = np.broadcast_to(get_field(self.model, name), (len(xi), *get_field(self.model, name).shape))
         for name in self._switches:
             off, limits = ~written[name].astype(bool), np.array(written[_LIMITS[name]])
             limits[off] = -_WIDE, _WIDE
             written[_LIMITS[name]] = limits
-        for name, columns in self.columns.items():
+        for name, columns in layout.columns.items():
             if derive and name not in written:
                 continue
             values = written[name].reshape(len(xi), -1)
             out[:, columns] = 1 / np.sqrt(np.maximum(values, mujoco.mjMINVAL)) if name == "opt.impratio" else values
         return out
 
-    def put(self, nrow: int, nworld: int) -> tuple[mjw.Model, dict[str, wp.array]]:
+    def put(self, layout: Layout, nrow: int, nworld: int) -> tuple[mjw.Model, dict[str, wp.array]]:
         """A model on Warp's current device, and its varying fields, not filled yet, as (rows, numbers) of floats.
 
         Fields that effects change before every physics step have a row per world, the others `nrow`, of which world w
@@ -121,7 +161,7 @@ class WarpModel:
         m = copy.copy(self.nominal)
         m.opt = copy.copy(m.opt)
         views = {}
-        for name in self.fields:
+        for name in layout.fields:
             n = nworld if name in self.step_fields else nrow
             owner, attribute = _where(m, name)
             array = getattr(owner, attribute)
@@ -129,14 +169,13 @@ class WarpModel:
             array._is_batched = True  # as MuJoCo Warp marks its own
             setattr(owner, attribute, array)
             views[name] = _floats(array, get_field(self.model, name).size)
-        for name in DERIVED - {*self.fields}:  # deriving constants writes them as well
+        for name in DERIVED - {*layout.fields}:  # deriving constants writes them as well
             setattr(m, name, wp.clone(getattr(m, name)))
         return m, views
 
     def views(self, m: mjw.Model, names: list[str]) -> dict[str, wp.array]:
-        """Other fields of a model of `put`, as (rows, numbers) of floats."""
-        others = [n for n in names if n not in self.fields]
-        return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in others}
+        """Fields of a model of `put`, as (rows, numbers) of floats."""
+        return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in names}
 
     def place_static(self, m: mjw.Model, d: mjw.Data, geoms: wp.array) -> None:
         """Put geoms of the world where each world's own model has them."""
@@ -154,7 +193,7 @@ class WarpModel:
         if self.writer.nbase < len(space) or not derivable(self.model):  # effects may write anything
             return None
         low = self.writer.written_rows(space.low[None])
-        rest = {*self.fields} - low.keys() - {*self._fixed}
+        rest = {*self.narrow.fields} - low.keys() - {*self.narrow.fixed}
         return frozenset(rest) if rest <= DERIVED else None
 
     def _switch_on(self) -> None:
@@ -173,25 +212,34 @@ class WarpModel:
             BadModel: parameters change something that all worlds share.
         """
         flags: dict[str, bool] = {}
-        batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.fields}
-        ignored = {*batched, *UNUSED, *self._switches}
-        for changed in self._changed_models():
-            other = _put(changed)
-            for a, b in ((self.nominal, other), (self.nominal.opt, other.opt)):
-                for f in dataclasses.fields(a):
-                    old, new = getattr(a, f.name), getattr(b, f.name)
-                    if f.name in ignored or f.name.startswith(_PICTURES) or _same(old, new):
-                        continue
-                    if not isinstance(new, bool | np.bool_):
-                        raise BadModel(
-                            f"MuJoCo Warp shares {f.name} among all worlds, and the parameters or models change it: "
-                            "leave out the parameter or model that does, or use device='cpu'"
-                        )
-                    flags[f.name] = True
+        for changed, signs in self._changed_models():
+            key = self.hash, self.narrow.fields, signs
+            if key not in _FLAGS:
+                _FLAGS[key] = self._flags_of(_put(changed))
+            flags |= _FLAGS[key]
         return flags
 
-    def _changed_models(self) -> Iterator[mujoco.MjModel]:
+    def _flags_of(self, other: mjw.Model) -> dict[str, bool]:
+        flags: dict[str, bool] = {}
+        batched = {"impratio_invsqrt" if f == "opt.impratio" else f.removeprefix("opt.") for f in self.narrow.fields}
+        ignored = {*batched, *UNUSED, *self._switches}
+        for a, b in ((self.nominal, other), (self.nominal.opt, other.opt)):
+            for f in dataclasses.fields(a):
+                old, new = getattr(a, f.name), getattr(b, f.name)
+                if f.name in ignored or f.name.startswith(_PICTURES) or _same(old, new):
+                    continue
+                if not isinstance(new, bool | np.bool_):
+                    raise BadModel(
+                        f"MuJoCo Warp shares {f.name} among all worlds, and the parameters or models change it: "
+                        "leave out the parameter or model that does, or use device='cpu'"
+                    )
+                flags[f.name] = True
+        return flags
+
+    def _changed_models(self) -> Iterator[tuple[mujoco.MjModel, bytes]]:
         """Models that show all that MuJoCo Warp derives from one: every field with other numbers, and other signs.
+
+        With the signs of each, of all fields that vary.
 
         Switches ask whether numbers are there at all. So of the probes, building each of which is slow, one inside
         the bounds is enough for each model, and those in which something becomes zero or ceases to be.
@@ -204,15 +252,15 @@ class WarpModel:
             signs = self._signs(changed)
             if i < n or signs not in seen:
                 seen.add(signs)
-                yield changed
+                yield changed, signs
 
     def _signs(self, model: mujoco.MjModel) -> bytes:
         return b"".join(np.sign(get_field(model, f), dtype=np.float64).tobytes() for f in self.writer.fields)
 
 
-def _shared(model: mujoco.MjModel) -> mjw.Model:
+def _shared(model: mujoco.MjModel, model_hash: str) -> mjw.Model:
     """A model on Warp's current device, whose arrays are those of the last simulator if that had the same model."""
-    key = model_hash(model), wp.get_device().alias
+    key = model_hash, wp.get_device().alias
     if key not in _LAST:
         _LAST.clear()
         _LAST[key] = _put(model)

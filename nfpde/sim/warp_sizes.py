@@ -42,6 +42,11 @@ def power_of_two(n: int) -> int:
     return 1 << (n - 1).bit_length()
 
 
+def roomy(n: int) -> int:
+    """The least of 64, 256, 1024 and greater powers of two that is no smaller: few numbers of worlds for a GPU."""
+    return next((size for size in (64, 256, 1024) if n <= size), power_of_two(n))
+
+
 def cut(whole: slice, most: int) -> list[slice]:
     """Cut a range into near-equal pieces of at most `most`."""
     pieces = -(-(whole.stop - whole.start) // most)
