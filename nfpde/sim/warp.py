@@ -224,14 +224,13 @@ class WarpSimulator(Simulator):
         self._count(len(vector), windows)
         done = 0
         while done < len(vector):
-            kind = self._kind(windows, output, all_pairs=False)
-            most = self.nworld or self._kept.footprint(kind).pairs(self._kept.memory)
+            count = len(vector) - done
+            kind = replace(self._kind(windows, output, all_pairs=False), wide=output == "states" and count <= SMALL)
+            most = self.nworld or self._kept.most(kind, self._rounded(count))
             parts = cut(slice(done, len(vector)), most)
-            largest = longest(parts)
             # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
-            rounded = roomy(largest) if self._rounds else power_of_two(largest)
-            n = largest if len(parts) > 1 else min(most, rounded)
-            sizes = replace(kind, nrow=n, nworld=n, nwindow=n, wide=output == "states" and n <= SMALL)
+            n = longest(parts) if len(parts) > 1 else min(most, self._rounded(count))
+            sizes = replace(kind, nrow=n, nworld=n, nwindow=n)
             for part in parts:
                 vectors, v = np.unique(vector[part], return_inverse=True)
                 chosen, w = np.unique(window[part], return_inverse=True)
@@ -241,6 +240,9 @@ class WarpSimulator(Simulator):
                     break
                 yield part, window[part], batch
                 done = part.stop
+
+    def _rounded(self, count: int) -> int:
+        return roomy(count) if self._rounds else power_of_two(count)
 
     def _tiles(self, xi: Array, windows: Windows, scale: Array | None) -> Iterator[tuple[slice, slice, WarpBatch]]:
         """Simulate all pairs, as many at once as fit: which vectors, which windows, and the batch that ran them."""

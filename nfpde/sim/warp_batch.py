@@ -21,6 +21,7 @@ from nfpde.sim.warp_arrays import arrays_of, fill, first
 from nfpde.sim.warp_constants import WarpConstants
 from nfpde.sim.warp_effects import Staged, WarpEffects
 from nfpde.sim.warp_graphs import Graphs
+from nfpde.sim.warp_inbox import Inbox
 from nfpde.sim.warp_model import WarpModel
 from nfpde.sim.warp_overflow import flag_overflow
 
@@ -88,7 +89,8 @@ class WarpBatch:
             self._seen = {**model.views(self.m, effects.read_fields), **self._fields}
             self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
             self.m.callback.passive = flag_overflow
-            self._staged_rows = wp.zeros((z.nrow, self._layout.width), dtype=float)
+            self._inbox = Inbox((z.nrow, self._layout.width))
+            self._staged_rows = self._inbox.array
             self._staged = Staged(
                 values=wp.zeros((z.nrow, max(1, effects.nvalue)), dtype=wp.float64),
                 active=wp.zeros((z.nrow, max(1, len(effects.effects))), dtype=int),
@@ -124,6 +126,7 @@ class WarpBatch:
             self._constants = WarpConstants(model.model, z.nrow) if self.derives else None
         self._control_dt = z.nsub * float(model.model.opt.timestep)
         self._paired: tuple[int, int] | None = None
+        self._tables: dict[tuple[int, int], wp.array] = {}
         self._windows: Windows | None = None
         self._graphs = Graphs(device)
 
@@ -132,7 +135,7 @@ class WarpBatch:
 
         The model's fields follow from them while the windows are still on their way.
         """
-        fill(self._staged_rows, fields)
+        self._inbox.send(fields)
         if self._effects.effects:
             fill(self._staged.values, values)
             fill(self._staged.active, active)
@@ -145,8 +148,7 @@ class WarpBatch:
         """Copy n <= nwindow windows onto the device, unless they are those that it has."""
         if windows is self._windows:
             return
-        z = self.sizes
-        nx = self._space.nx
+        z, nx = self.sizes, self._space.nx
         fill(self._state, windows.state[:, : self._state.shape[1], :nx])
         before = windows.history[:, windows.nhistory - z.nhistory :]
         fill(self._ctrl, np.concatenate([before, windows.ctrl], axis=1))
@@ -196,8 +198,10 @@ class WarpBatch:
 
     def losses(self, nvector: int, nwindow: int) -> wp.array:
         """Losses of all pairs after `pair_all`, (nvector, nwindow), in the batch's own memory."""
-        table: Any = self._loss.reshape((-1, self.sizes.nrow))
-        return table[:nwindow, :nvector].transpose()
+        if (nvector, nwindow) not in self._tables:  # making a view takes a while
+            table: Any = self._loss.reshape((-1, self.sizes.nrow))
+            self._tables = {(nvector, nwindow): table[:nwindow, :nvector].transpose()}
+        return self._tables[nvector, nwindow]
 
     def all_predictions(self, nvector: int, nwindow: int) -> NDArray[np.float32]:
         """Predicted states of all pairs after `pair_all`, (nvector, nwindow, H, nx)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from weakref import WeakSet
 
@@ -22,6 +23,9 @@ were asked for: so few it steps in no more time than one."""
 
 MOST_BATCHES = 3
 """Shapes whose buffers are kept: the losses of a fit, those of its last round, and predictions."""
+
+ANY_WORLD = 1 << 20
+"""More bytes than a world of any robot takes: a Humanoid's takes 28 KiB."""
 
 SHARED_BYTES = 4 << 30
 """Memory of the small batches that simulators share, at most."""
@@ -54,13 +58,21 @@ class WarpBatches:
         """The batch of a shape, kept from an earlier call or new."""
         batch = self.kept.pop(sizes, None)
         if sizes.wide:
-            self.footprint(sizes)
-            room = min(SHARED_BYTES, self.memory - self.nbytes(*(own for own in self.kept if not own.wide)))
+            room = min(SHARED_BYTES, self.memory - self.nbytes(*self._own()))
             batch = shared_batch(self._families[True], sizes, self._effects, partial(self._make, sizes), room)
         elif batch is None:
             batch = self._make(sizes)
         self.kept[sizes] = batch
         return batch
+
+    def most(self, kind: Sizes, wanted: int) -> int:
+        """How many pairs run at once, each with a row and a window of its own: as many as fit, or as few as wanted.
+
+        What a world takes is not measured where there is room for so many of any robot.
+        """
+        if kind.wide and wanted <= self.memory // ANY_WORLD:
+            return wanted
+        return self.footprint(kind).pairs(self.memory)
 
     def nbytes(self, *batches: Sizes) -> int:
         """Memory that batches of these shapes take together, with what a step allocates and gives back."""
@@ -97,12 +109,16 @@ class WarpBatches:
         wp.synchronize_device(self._device)
         return bool(keeping) or shared
 
+    def _own(self, among: Iterable[Sizes] | None = None) -> list[Sizes]:
+        """Shapes of those kept, or `among` others, that are this simulator's alone: whose memory counts."""
+        return [sizes for sizes in (self.kept if among is None else among) if not sizes.wide]
+
     def _make(self, sizes: Sizes) -> WarpBatch:
         """A new batch, in place of the oldest ones where these are too many, or too large beside it."""
-        own = self.kept
-        while own and (len(own) >= MOST_BATCHES or self.nbytes(*own, sizes) > self.memory):
-            oldest = next(iter(own))
-            batch = own.pop(oldest)
+        kept = self.kept
+        while kept and (len(kept) >= MOST_BATCHES or self.nbytes(*self._own(), *self._own([sizes])) > self.memory):
+            oldest = next(iter(kept))
+            batch = kept.pop(oldest)
             if not oldest.wide:
                 batch.free()
         return WarpBatch(self._model, self._effects, self._states, sizes, self._device)

@@ -49,10 +49,10 @@ class Family:
         return cls(device.alias, model.hash, fields, step_fields, derived, flags, effects.alike())
 
 
-Shared = dict[tuple[Family, Sizes], WarpBatch]
+Shared = dict[tuple[Family, Sizes], tuple[WarpBatch, int]]
 
 _SHARED: dict[str, Shared] = {}
-"""By device, the batches that were used last of all, the latest at the end."""
+"""By device, the batches that were used last of all, the latest at the end, and their bytes."""
 
 FOOTPRINTS: dict[tuple[Family, Sizes], Footprint] = {}
 """Of every kind of batch that was measured in this process: some numbers each."""
@@ -68,28 +68,24 @@ def shared_batch(
         sizes: the shape.
         effects: what the batch is to run with.
         make: makes one.
-        room: bytes that may be kept, with the new one; the footprint of each is known.
+        room: bytes that may be kept beside it.
     """
     kept = _SHARED.setdefault(family.device, {})
     key = family, sizes
-    batch = kept.pop(key, None)
+    batch, nbytes = kept.pop(key, (None, 0))
     if batch is None or batch.freed:
-        while kept and (len(kept) >= MOST_SHARED or sum(map(_bytes, [*kept, key])) > room):
-            kept.pop(next(iter(kept))).free()
+        while kept and (len(kept) >= MOST_SHARED or sum(taken for _, taken in kept.values()) > room):
+            kept.pop(next(iter(kept)))[0].free()
         batch = make()
+        nbytes = batch.nbytes()
     batch.serve(effects)
-    kept[key] = batch
+    kept[key] = batch, nbytes
     return batch
 
 
 def free_shared(device: wp.Device) -> bool:
     """Give back all that a device keeps for whoever comes next; whether there was anything."""
     kept = _SHARED.pop(device.alias, {})
-    for batch in kept.values():
+    for batch, _ in kept.values():
         batch.free()
     return bool(kept)
-
-
-def _bytes(key: tuple[Family, Sizes]) -> int:
-    family, sizes = key
-    return FOOTPRINTS[family, sizes.single()].of(sizes)

@@ -20,6 +20,7 @@ from nfpde.parameters import ParameterSpace
 from nfpde.sim.fields import get_field
 from nfpde.sim.model import model_hash
 from nfpde.sim.warp_constants import DERIVED, derivable
+from nfpde.sim.warp_linear import LinearRows
 from nfpde.sim.writer import ModelWriter
 
 Array = NDArray[np.float64]
@@ -117,6 +118,7 @@ class WarpModel:
         self.wide = Layout.of(self.model, fields | wide, fixed | (wide - fields))
         self.derived = self._derived_on_device(space)
         self._switch_on()
+        self._linear = self._linear_rows(space)
         self.hash = model_hash(self.model)
         self.nominal = _shared(self.model, self.hash)
         for name in self.wide.fields:
@@ -137,7 +139,12 @@ class WarpModel:
 
         With `derive`, the columns of `derived` hold nothing: `derive` computes them on the device.
         """
-        out = np.zeros((len(xi), layout.width), np.float32)
+        if derive and self._linear is not None:
+            return self._linear(xi)
+        return self._rows(xi, layout, derive=derive).astype(np.float32)
+
+    def _rows(self, xi: Array, layout: Layout, *, derive: bool) -> Array:
+        out = np.zeros((len(xi), layout.width))
         written = self.writer.written_rows(xi) if derive else self.writer.rows(xi)
         for name in layout.fixed:
             written[name] = np.broadcast_to(get_field(self.model, name), (len(xi), *get_field(self.model, name).shape))
@@ -195,6 +202,12 @@ class WarpModel:
         low = self.writer.written_rows(space.low[None])
         rest = {*self.narrow.fields} - low.keys() - {*self.narrow.fixed}
         return frozenset(rest) if rest <= DERIVED else None
+
+    def _linear_rows(self, space: ParameterSpace) -> LinearRows | None:
+        """What writes the rows of vectors of which the device derives the rest, if they are so simple."""
+        if self.derived is None:
+            return None
+        return LinearRows.of(lambda xi: self._rows(xi, self.narrow, derive=True), space.low, space.high)
 
     def _switch_on(self) -> None:
         """Switch on, for all worlds, every limit that some parameter vector switches on."""
