@@ -15,8 +15,8 @@ demo: install  ## ten recorded Hopper episodes -> distribution -> distance to th
 	$(BIN)/nfpde fit hopper $(RUN)/data --params $(RUN)/data/parameters.toml --method trajectory --out $(RUN)/trajectory
 	$(BIN)/nfpde evaluate $(RUN)/trajectory --truth $(RUN)/data/truth.json
 
-test: install  ## everything that runs on a CPU, JOBS tests at a time
-	CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+test: install  ## everything that runs on a CPU, JOBS tests at a time with a thread of linear algebra each
+	CUDA_VISIBLE_DEVICES= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 	cargo test --quiet --workspace
 
 check: install  ## style, types, import rules, documentation

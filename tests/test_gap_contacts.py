@@ -241,7 +241,7 @@ PUCK = """
 """
 
 
-def shots(friction, rows=300, noise=1e-4):
+def shots(friction, rows=150, noise=1e-4):
     """A puck that slides for some tenths of a second, then rests, beside an arm that swings on."""
     rng, out = np.random.default_rng(0), []
     model = mujoco.MjModel.from_xml_string(PUCK.format(friction=friction))

@@ -86,7 +86,7 @@ def test_the_device_takes_the_same_rows(windows):
         (lambda: sim.rollout(xi, windows, *rows), expected[rows[0], rows[1]]),
     ]:
         call()
-        for batch in sim._kept.kept.values():
+        for batch in sim._batches.kept.values():
             batch.poison()
         # twenty steps of a few units in single precision, as in test_warp
         np.testing.assert_allclose(call(), wanted, atol=2e-5)
@@ -103,7 +103,7 @@ def test_constants_of_several_models_are_derived_on_the_device(windows):
     xi = np.array([[0.7, 1.0], [0.7, 0.0], [1.6, 1.0]])
     one = np.ones(4)
     sim.losses(xi, windows, one)
-    (batch,) = sim._kept.kept.values()
+    (batch,) = sim._batches.kept.values()
     batch.poison()
     # as in single precision: 1e-5 of positions and velocities of a few units
     np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)

@@ -62,7 +62,7 @@ def test_agrees_with_mujoco_to_single_precision(name):
     states = sim.reference.predict(xi, windows)
     sim.losses(xi, windows, one)
     sim.predict(xi, windows)
-    for batch in sim._kept.kept.values():
+    for batch in sim._batches.kept.values():
         batch.poison()
     found, predicted = sim.losses(xi, windows, one), sim.predict(xi, windows)
     square = (sim.states.difference(predicted, states) ** 2).sum((2, 3))
@@ -117,7 +117,7 @@ def test_losses_reach_torch_without_a_copy(sim):
     shared = torch.from_dlpack(sim.losses_on_device(xi, windows, np.ones(4)))
     assert shared.dtype == torch.float64
     np.testing.assert_array_equal(shared.cpu().numpy(), copied)
-    batch = next(reversed(sim._kept.kept.values()))
+    batch = next(reversed(sim._batches.kept.values()))
     batch._loss.fill_(7.0)
     assert bool((shared == 7.0).all())
     assert shared.data_ptr() == batch._loss.ptr
@@ -164,7 +164,7 @@ def test_buffers_can_be_given_back():
     sim = arm()
     windows, xi = make_windows(sim.model, 5, 3), vectors(sim, 4)
     before = sim.losses(xi, windows, np.ones(4))
-    buffers = weakref.ref(next(iter(sim._kept.kept.values())))
+    buffers = weakref.ref(next(iter(sim._batches.kept.values())))
     sim.release()
     assert buffers() is None
     np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
@@ -177,8 +177,8 @@ def test_memory_of_a_world_is_its_own():
     for nvector in (2, 60, 2):
         sim = arm()
         sim.losses(vectors(sim, nvector), windows, np.ones(4))
-        kind = next(iter(sim._kept.kept))
-        sizes.append(sim._kept.footprint(kind))
+        kind = next(iter(sim._batches.kept))
+        sizes.append(sim._batches.footprint(kind))
     assert sizes[0] == sizes[1] == sizes[2]
     few, many = (passing_bytes(sim._model, kind, n, sim.device) for n in (3, 30))
     # the solver's vectors of single precision: one of each constraint, and of each degree of freedom more than one
@@ -202,7 +202,7 @@ def test_no_world_reads_what_was_not_sent(sim):
     windows, xi = make_windows(sim.model, 5, 3), vectors(sim, 4)
     vector, window = np.arange(11) % 4, np.arange(11) % 5
     before = sim.rollout(xi, windows, vector, window)
-    batch = next(reversed(sim._kept.kept.values()))
+    batch = next(reversed(sim._batches.kept.values()))
     assert batch.sizes.nworld > len(vector)
     batch.poison()
     np.testing.assert_array_equal(sim.rollout(xi, windows, vector, window), before)

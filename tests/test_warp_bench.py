@@ -268,7 +268,7 @@ def test_trajectories_are_judged_in_their_standard_deviations(moved, same):
         {"seconds": 1.0, "distance": 0.1, "converged": done, "value": v.tolist(), "std": std.tolist()}
         for v, done in ((value, True), (other, False))
     ]
-    row = trajectory_row("fit", *fits)
+    row = trajectory_row("fit", fits[0], fits[1])
     assert row["same"] == same
     assert row["answers"] == ["0.1 from the truth", "0.1 from the truth, stopped before it settled"]
 

@@ -52,7 +52,7 @@ def test_constants_of_the_model_follow_the_parameters(name):
     xi = vectors(sim, 5)
     windows = make_windows(sim.model, 2, 1)
     sim.losses(xi, windows, np.ones(sim.states.ndiff))
-    (batch,) = sim._kept.kept.values()
+    (batch,) = sim._batches.kept.values()
     assert batch.derives == (name != "tendon with inertia")
     expected = sim.reference.writer.rows(xi)
     for field, array in batch._fields.items():

@@ -38,7 +38,7 @@ def chained(n, channels, seed=0, degrees=4.0):
 def poisoned(sim, call):
     """The second answer, with every buffer full of NaN before it."""
     call()
-    for batch in sim._kept.kept.values():
+    for batch in sim._batches.kept.values():
         batch.poison()
     return call()
 

@@ -70,7 +70,7 @@ def test_agrees_with_mujoco_to_single_precision(name):
     expected = np.array([sim.reference.losses(xi, w, one) for w in starts])
     sim.predict(xi, windows)
     sim.losses(xi, windows, one)
-    for batch in sim._kept.kept.values():
+    for batch in sim._batches.kept.values():
         batch.poison()
     square = (sim.states.difference(sim.predict(xi, windows), states) ** 2).sum((-1, -2)).min(0)
     assert square.max() < WORST

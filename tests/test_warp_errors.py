@@ -215,7 +215,7 @@ def test_simulators_that_keep_buffers_give_way(small_memory):
     held = sum(small_memory.values())
     small_memory["foreign"] = (4 << 20) - held
     np.testing.assert_allclose(sim.losses(xi, windows, one), sim.reference.losses(xi, windows, one), rtol=1e-4)
-    assert not any(other._kept.kept for other in others)
+    assert not any(other._batches.kept for other in others)
     del small_memory["foreign"]
     np.testing.assert_allclose(others[0].losses(xi, windows, one), sim.losses(xi, windows, one), rtol=1e-4)
 
@@ -267,7 +267,7 @@ def test_the_memory_of_a_batch_is_that_of_its_arrays(vectors, windows):
     space = ParameterSpace([Parameter("body_mass", "rod", 0.5, 2.0)])
     sim = WarpSimulator(load(PENDULUM), space, device="warp-cpu", check_influence=False)
     sim.losses(np.linspace(0.6, 1.9, vectors)[:, None], make_windows(sim.model, windows, 3), np.ones(2))
-    (sizes, batch), *others = sim._kept.kept.items()
+    (sizes, batch), *others = sim._batches.kept.items()
     assert not others
     assert batch._constants is not None
     few, more = (passing_bytes(sim._model, sizes, n, sim.device) for n in (2, 6))
@@ -301,4 +301,7 @@ def test_few_shapes_on_a_gpu():
     assert sim.usage().nworld == 64
     sim.losses(xi, windows, np.ones(2))
     assert sim.usage().nworld == 4 * 8
-    assert (len(sim._kept.kept), len(plain._kept.kept)) == (2, 3)  # losses and predictions, of one shape or of two
+    assert (len(sim._batches.kept), len(plain._batches.kept)) == (
+        2,
+        3,
+    )  # losses and predictions, of one shape or of two

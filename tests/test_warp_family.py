@@ -119,14 +119,14 @@ def test_few_are_kept(made, monkeypatch):
     found = [sim.predict(vectors(sim), windows) for sim in sims]
     kept = warp_family._SHARED[sims[0].device.alias]
     assert len(kept) == 2
-    assert next(iter(sims[0]._kept.kept.values())).freed
+    assert next(iter(sims[0]._batches.kept.values())).freed
     count = made[0]
     np.testing.assert_array_equal(sims[2].predict(vectors(sims[2]), windows), found[2])
     assert made[0] == count
     np.testing.assert_array_equal(sims[0].predict(vectors(sims[0]), windows), found[0])
     assert made[0] == count + 1
     assert len(kept) == 2
-    sims[0]._kept.memory = 1
+    sims[0]._batches.memory = 1
     sims[0].predict(vectors(sims[0]), windows[np.arange(3)])
     assert len(kept) == 1
 

@@ -94,7 +94,7 @@ class WarpSimulator(Simulator):
             self._effects = WarpEffects(self.effects, writer.nbase, float(self.model.opt.timestep))
             self._model = WarpModel(self.model, self.space, writer, self._effects.step_fields)
             self._effects.look_up(self._model.model)
-        self._kept = WarpBatches(self._model, self._effects, self.states, self.device)
+        self._batches = WarpBatches(self._model, self._effects, self.states, self.device)
         self._buffers: tuple[int, int] | None = None
         self._rounds = self.device.is_cuda
 
@@ -128,11 +128,11 @@ class WarpSimulator(Simulator):
         """See `Simulator.costs`; the whitening is sent once, and a number for every vector comes back."""
         unit = self._check_unit(windows, scale)
         check_rows(vector, windows, whitening)
-        there = self._kept.whitening
+        there = self._batches.whitening
         if there is None or there.whitening is not whitening:
-            there = self._kept.whitening = None  # two of them need not fit
+            there = self._batches.whitening = None  # two of them need not fit
             with room_for(self.device, f"the whitening of {len(windows)} windows"):
-                there = self._kept.whitening = WarpWhitening(whitening, self.device)
+                there = self._batches.whitening = WarpWhitening(whitening, self.device)
         out = np.zeros(len(xi))
         for part, own, batch in self._rows(xi, windows, vector, window, "residuals", unit):
             continues = part.start > 0 and bool(vector[part.start] == vector[part.start - 1])
@@ -196,8 +196,8 @@ class WarpSimulator(Simulator):
 
     def release(self) -> None:
         """Give the memory of all buffers back; the next call makes them anew."""
-        self._kept.free()
-        self._kept.whitening = None
+        self._batches.free()
+        self._batches.whitening = None
 
     def usage(self) -> Usage:
         """What the last call took.
@@ -205,10 +205,10 @@ class WarpSimulator(Simulator):
         Raises:
             BadInput: nothing was simulated yet.
         """
-        if not self._kept.kept:
+        if not self._batches.kept:
             raise BadInput("nothing was simulated yet; call losses or predict first")
-        sizes = next(reversed(self._kept.kept))
-        return Usage(sizes.nworld, self._kept.nbytes(sizes), sizes.nconmax, sizes.njmax)
+        sizes = next(reversed(self._batches.kept))
+        return Usage(sizes.nworld, self._batches.nbytes(sizes), sizes.nconmax, sizes.njmax)
 
     def _rows(
         self,
@@ -226,7 +226,7 @@ class WarpSimulator(Simulator):
         while done < len(vector):
             count = len(vector) - done
             kind = replace(self._kind(windows, output, all_pairs=False), wide=output == "states" and count <= SMALL)
-            most = self.nworld or self._kept.most(kind, self._rounded(count))
+            most = self.nworld or self._batches.most(kind, self._rounded(count))
             parts = cut(slice(done, len(vector)), most)
             # few shapes, whose buffers are kept; one for all parts of a call, so that only one is in memory
             n = longest(parts) if len(parts) > 1 else min(most, self._rounded(count))
@@ -291,7 +291,7 @@ class WarpSimulator(Simulator):
             wanted = replace(sizes, nconmax=nconmax, njmax=njmax)
             batch, overflow = None, 0
             try:
-                batch = self._kept.get(wanted)
+                batch = self._batches.get(wanted)
                 if pairs is None:
                     batch.pair_all(len(xi), len(windows))
                 else:
@@ -305,9 +305,9 @@ class WarpSimulator(Simulator):
                 batch = None
             if batch is None:
                 # here the error, and with it all that its frames hold, is gone
-                self._kept.free()
-                if not self._kept.others_freed():
-                    raise out_of_memory(self.device, self._kept.memory, wanted.nworld, self._kept.nbytes(wanted))
+                self._batches.free()
+                if not self._batches.others_freed():
+                    raise out_of_memory(self.device, self._batches.memory, wanted.nworld, self._batches.nbytes(wanted))
                 continue
             if overflow & COLLIDER:
                 raise BadModel(
@@ -319,7 +319,7 @@ class WarpSimulator(Simulator):
             grown = (2 * nconmax if overflow & CONTACTS else nconmax, 2 * njmax if overflow & CONSTRAINTS else njmax)
             self._buffers = grown
             # freed, not dropped: whoever works through what it gave before still holds it
-            self._kept.free()
+            self._batches.free()
             if sizes.nworld > 1 and not self._fits(replace(sizes, nconmax=grown[0], njmax=grown[1])):
                 return None
 
@@ -336,11 +336,11 @@ class WarpSimulator(Simulator):
             rows = cut(vectors, self.nworld)
             return rows, cut(windows, max(1, self.nworld // longest(rows)))
         m, n = longest([vectors]), longest([windows])
-        most = self._kept.footprint(kind).tile(self._kept.memory - 8 * m * n, m, n)  # beside their losses
+        most = self._batches.footprint(kind).tile(self._batches.memory - 8 * m * n, m, n)  # beside their losses
         return cut(vectors, most[0]), cut(windows, most[1])
 
     def _fits(self, sizes: Sizes) -> bool:
-        return sizes.nworld <= self.nworld if self.nworld else self._kept.nbytes(sizes) <= self._kept.memory
+        return sizes.nworld <= self.nworld if self.nworld else self._batches.nbytes(sizes) <= self._batches.memory
 
     def _check_windows(self, windows: Windows) -> None:
         if windows.ctrl.shape[2] != self.model.nu:

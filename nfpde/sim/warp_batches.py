@@ -58,7 +58,7 @@ class WarpBatches:
         """The batch of a shape, kept from an earlier call or new."""
         batch = self.kept.pop(sizes, None)
         if sizes.wide:
-            room = min(SHARED_BYTES, self.memory - self.nbytes(*self._own()))
+            room = min(SHARED_BYTES, self.memory - self.nbytes(*_alone(self.kept)))
             batch = shared_batch(self._families[True], sizes, self._effects, partial(self._make, sizes), room)
         elif batch is None:
             batch = self._make(sizes)
@@ -109,16 +109,17 @@ class WarpBatches:
         wp.synchronize_device(self._device)
         return bool(keeping) or shared
 
-    def _own(self, among: Iterable[Sizes] | None = None) -> list[Sizes]:
-        """Shapes of those kept, or `among` others, that are this simulator's alone: whose memory counts."""
-        return [sizes for sizes in (self.kept if among is None else among) if not sizes.wide]
-
     def _make(self, sizes: Sizes) -> WarpBatch:
         """A new batch, in place of the oldest ones where these are too many, or too large beside it."""
         kept = self.kept
-        while kept and (len(kept) >= MOST_BATCHES or self.nbytes(*self._own(), *self._own([sizes])) > self.memory):
+        while kept and (len(kept) >= MOST_BATCHES or self.nbytes(*_alone([*kept, sizes])) > self.memory):
             oldest = next(iter(kept))
             batch = kept.pop(oldest)
             if not oldest.wide:
                 batch.free()
         return WarpBatch(self._model, self._effects, self._states, sizes, self._device)
+
+
+def _alone(shapes: Iterable[Sizes]) -> list[Sizes]:
+    """Those of batches that no other simulator runs, whose memory is the simulator's own affair."""
+    return [sizes for sizes in shapes if not sizes.wide]
