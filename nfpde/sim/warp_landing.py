@@ -1,7 +1,7 @@
 """Bringing answers back from a GPU: into page-locked memory, which numpy reads where it is.
 
 Into other memory the driver copies in pieces through a buffer of its own, and fresh memory has to be mapped page by
-page: calls with 32 MB of losses took 29 ms beside their steps on an H200, and take 4 ms now.
+page. At 100 000 losses no difference was measured on an H200; 1e6 took 0.9 ms by the other way, of 166.
 """
 
 from __future__ import annotations
