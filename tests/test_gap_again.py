@@ -34,17 +34,18 @@ class Leaving(Selection):
 
 
 @pytest.mark.parametrize(
-    ("what", "rows", "accepted", "gap", "again"),
+    ("what", "rows", "accepted", "gap", "every", "again"),
     [
-        (SOFT, 400, [], 1.0, True),
-        (SOFT, 400, ["found"], 1.0, False),  # what is there was found
-        (SOFT, 400, [], 9.0, False),  # far more than noise: more windows explain no more of it
-        (SOFT, 400, [], 0.9 * LEAST_GAP, False),  # nor of what is next to nothing
-        (SOFT, 120, [], 1.0, False),  # all windows were looked at
-        (FAST, 400, [], 1.0, False),  # nothing touches anything: windows are long, and all that there are
+        (SOFT, 400, [], 1.0, False, True),
+        (SOFT, 400, [], 1.0, True, False),  # all were looked at before
+        (SOFT, 400, ["found"], 1.0, False, False),  # what is there was found
+        (SOFT, 400, [], 9.0, False, False),  # far more than noise: more windows explain no more of it
+        (SOFT, 400, [], 0.9 * LEAST_GAP, False, False),  # nor of what is next to nothing
+        (SOFT, 60, [], 1.0, False, False),  # there are no more
+        (FAST, 400, [], 1.0, False, False),  # nothing touches anything: windows are long, and all that there are
     ],
 )
-def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, accepted, gap, again, monkeypatch):
+def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, accepted, gap, every, again, monkeypatch):
     recordings = cut_recordings(pushes(0.5, rows=rows), 0, 0, 160)
     used, knew = [], []
 
@@ -53,7 +54,7 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
         knew.append(search.before and search.before.near)
         selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=len(used))
         selection.left = gap
-        return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False)
+        return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False, every=every)
 
     monkeypatch.setattr(Search, "_to_the_end", to_the_end)
     alone = []

@@ -1,4 +1,4 @@
-"""All single steps are searched where noise beside contacts may leave as much as there is."""
+"""All short windows are searched where noise beside contacts may leave as much as there is."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ FOUND: Any = SimpleNamespace(effect=DELAY)
         (1.0, True, [], 1.0, False, True),  # all were asked before
     ],
 )
-def test_all_single_steps_are_searched_near_noise(left, again, found, longest, every, longer, monkeypatch):
+def test_all_short_windows_are_searched_near_noise(left, again, found, longest, every, longer, monkeypatch):
     """In windows of one step, then longer ones, each searched once."""
     recordings = cut_recordings(pushes(0.5, rows=400), 0, 0, 160)
     part = "nfpde.gap.search."
@@ -81,13 +81,13 @@ def test_all_single_steps_are_searched_near_noise(left, again, found, longest, e
     search = Asking(ANYTHING, data, [(SOFT, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, select, lambda what: None)
     if again:
         search = replace(search, before=SimpleNamespace(halves=None, near=NEAR))
-    search._run(early=None)
-    lengths = [s.horizons for s in brief(recordings)][: None if longer else 1]
-    some, all_steps = (len(brief(recordings, *most)[0].fit) for most in ((), (EVERY,)))
-    assert some < all_steps
-    assert len(searched[0][0].fit) == (all_steps if every else some)
+    found_there = search._run(early=None)
+    assert found_there.every is every  # then nothing is left to look at once more
+    some, all_steps = (brief(recordings, *most) for most in ((), (EVERY,)))
+    assert len(some[0].fit) < len(all_steps[0].fit)
+    lengths = (all_steps if every else some)[: None if longer else 1]
     assert [below for _, below in searched] == [every] + [False] * (len(lengths) - 1)
-    assert [s.horizons for s, _ in searched] == lengths
+    assert [(s.horizons, len(s.fit)) for s, _ in searched] == [(s.horizons, len(s.fit)) for s in lengths]
 
 
 @pytest.mark.parametrize(("below", "last", "accepted", "nothing"), [

@@ -11,7 +11,7 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, effect
 from nfpde.gap.acceptance import NOISE_TIMES
-from nfpde.gap.bootstrap import DRAWS, FIRST, NoiseAlone, judging
+from nfpde.gap.bootstrap import DRAWS, FIRST, STILL, NoiseAlone, judging, no_more_than
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.recordings import cut_recordings
@@ -186,16 +186,29 @@ class Given(NoiseAlone):
 @pytest.mark.parametrize(
     ("given", "enough", "gives", "draws"),
     [
-        ([0.0] * DRAWS, 11 * LEAST_GAIN, False, FIRST),  # ten times what chance gives, and more
-        ([0.0] * DRAWS, 9 * LEAST_GAIN, False, DRAWS),  # less is asked of every draw
-        ([0.0] * 8 + [50.0, 0.0], 9 * LEAST_GAIN, True, 9),
-        ([0.0, 100.0, 200.0] + [0.0] * 7, 1099.0, False, 4),  # the mean of three is 100, so is their deviation
-        ([0.0, 100.0, 200.0] + [0.0] * 7, 1101.0, False, FIRST),
+        # Student's quantiles of 2 and 3 degrees at 0.05 / 7 and 0.05 / 6 are 8.277 and 4.857
+        ([0.0] * DRAWS, 9.6 * LEAST_GAIN, False, FIRST),
+        ([0.0] * DRAWS, 9.5 * LEAST_GAIN, False, 4),
+        ([0.0] * DRAWS, 1.9 * LEAST_GAIN, False, DRAWS),  # of the last one 1.860 at 8 degrees and 0.05
+        ([0.0] * 8 + [50.0, 0.0], 1.9 * LEAST_GAIN, True, 9),
+        ([0.0, 100.0, 200.0] + [0.0] * 7, 1055.0, False, 4),  # the mean of three is 100, so is their deviation
+        ([0.0, 100.0, 200.0] + [0.0] * 7, 1056.0, False, FIRST),
         ([0.0, 100.0], 99.0, True, 2),
-        ([-1000.0] * DRAWS, 9 * LEAST_GAIN, False, DRAWS),  # what noise takes says nothing of what it gives
+        ([-1000.0] * DRAWS, 1.9 * LEAST_GAIN, False, DRAWS),  # what noise takes says nothing of what it gives
     ],
 )
 def test_draws_end_where_the_first_ones_give_next_to_nothing(given, enough, gives, draws):
     noise = Given(given)
     assert noise.gives(ANYTHING, enough / WINDOWS) is gives
     assert noise.draws == draws
+
+
+@pytest.mark.parametrize("count", range(FIRST, DRAWS))
+def test_none_of_the_draws_to_come_gives_more_but_by_the_stated_chance(count):
+    """Of normal draws as many sequences as stated, or fewer (Bonferroni), surpass what is said of them.
+
+    The share of 4000 sequences is known to three standard errors of the stated chance, a hundredth.
+    """
+    draws = 100.0 + 7.0 * np.random.default_rng(count).normal(size=(4000, DRAWS))
+    surpassed = [row[count:].max() > no_more_than(row[:count], 0.0) for row in draws]
+    assert 0.5 * STILL < np.mean(surpassed) < STILL + 3 * (STILL / 4000) ** 0.5

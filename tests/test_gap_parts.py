@@ -88,6 +88,28 @@ def test_density_is_that_of_a_multivariate_t():
     assert scatter.log_density(r) == pytest.approx(expected, rel=1e-9)
 
 
+def test_degrees_of_freedom_scatter_each_by_itself():
+    """What is learned of one does not depend on the others, nor on windows in which it diverged.
+
+    EM stops where weights change by less than a thousandth; a sum in another order may let it go on once more.
+    """
+    rng = np.random.default_rng(5)
+    residuals = rng.normal(size=(120, 3, 2)) * np.array([1.0, 1e-3, 20.0])[:, None]
+    residuals[:, 1] /= np.sqrt(rng.chisquare(3, size=(120, 1)) / 3)
+    residuals[7:40, 0, 1] = np.nan
+    residuals[5, 2] = np.inf
+    residuals[:, 2, 1] += residuals[:, 2, 0]
+    floor = np.full((3, 2), 1e-9)
+    together = learn_scatter(residuals, 6, floor).noises
+    for dof, noise in enumerate(together):
+        own = residuals[np.isfinite(residuals[:, dof]).all(1), dof][:, None]
+        (alone,) = learn_scatter(own, 2, floor[[dof]]).noises
+        assert noise.degrees == alone.degrees
+        covariances = [np.linalg.inv(n.whitener @ n.whitener.T) for n in (noise, alone)]
+        np.testing.assert_allclose(*covariances, rtol=1e-3, atol=1e-3 * covariances[1].max())
+    assert together[1].degrees < 10 < together[0].degrees
+
+
 def test_block_test_is_the_better_of_two_tests():
     """With one window a block: twice the smaller p-value of SciPy's t test and signed-rank test."""
     rng = np.random.default_rng(4)

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from nfpde.dataset import Windows
 from nfpde.gap.directions import Directions
@@ -30,10 +31,11 @@ DRAWS = 10
 """Draws of the noise of all windows: one in three may give what two do not, where contacts multiply noise. Few effects
 live to see them all."""
 
-FIRST, FAR = 3, 10.0
-"""Draws after which no more are made of a candidate that gains more than they gave by so many of their standard
-deviations: one in a hundred lies as far above its mean, whatever the distribution (Cantelli's inequality), and all
-draws together rule out one in eleven. Few draws know a deviation roughly: it counts as no less than `LEAST_GAIN`."""
+FIRST, STILL = 3, 0.05
+"""Draws after which no more are made of a candidate if one of those still to come would reach what it gained with no
+more than this chance (prediction intervals of a normal distribution: Hahn, Meeker, Statistical intervals, 1991,
+chapter 4). All draws together rule out one in eleven. Few draws know a deviation roughly: it counts as no less than
+`LEAST_GAIN`."""
 
 SHARES = (1.0, 0.3, 0.1, 0.01)
 """Of what a candidate was fitted to be, from which it is fitted to noise."""
@@ -70,7 +72,7 @@ class NoiseAlone:
             given.append(max(self.gain(trial, draw), 0.0))
             if given[-1] >= enough:
                 return True
-            if len(given) >= FIRST and enough > np.mean(given) + FAR * max(np.std(given, ddof=1), chance):
+            if FIRST <= len(given) < DRAWS and enough > no_more_than(given, chance):
                 return False
         return False
 
@@ -107,6 +109,18 @@ class NoiseAlone:
             there = judging(self._court, current.fit, made, self._sigma, self._seed)
             self._made.append((there, _refitted(there, current, current.fit.xi[None], current.fit.scatter)))
         return self._made[draw]
+
+
+def no_more_than(given: Sequence[float], least: float) -> float:
+    """What none of the draws still to come gives, but for a chance of `STILL`, where some were given.
+
+    Args:
+        given: By the draws so far.
+        least: Standard deviation that they have at least.
+    """
+    count = len(given)
+    quantile = float(student.isf(STILL / (DRAWS - count), count - 1))
+    return float(np.mean(given) + quantile * np.sqrt(1.0 + 1.0 / count) * max(np.std(given, ddof=1), least))
 
 
 def judging(court: Court, fit: Fit, halves: Sequence[Windows], sigma: Array, seed: int) -> Court:

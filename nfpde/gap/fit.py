@@ -69,7 +69,7 @@ class Fit:
         d = len(self.xi)
         if not d:
             return np.zeros(0)
-        slopes = _whiten_slopes(self.scatter, self.slopes)
+        slopes = self.scatter.turned(self.slopes)
         moves = moves_without(self.scatter, self.residuals, slopes, np.eye(d) / PRIOR**2)
         turn = self.replay.outward_slopes(self.xi)
         least = 1e-6 * np.linalg.pinv(self.information, hermitian=True)
@@ -136,21 +136,23 @@ class Fitter:
         found = guesses[np.argsort(costs, kind="stable")[:count]]
         if base is None or not len(base.xi):
             return found
-        costs = [self._react(row, r, base, scatter) for row, r in zip(u, residuals, strict=True)]
+        costs = self._react(u, residuals, base, scatter)
         return np.concatenate([replay.outward(u[np.argsort(costs, kind="stable")[:count]]), found])
 
-    def _react(self, u: Array, residuals: Array, base: Fit, scatter: Scatter) -> float:
-        """Move a base's parameters in u (D,) to where slopes foretell the least cost, which is returned."""
+    def _react(self, u: Array, residuals: Array, base: Fit, scatter: Scatter) -> list[float]:
+        """Move a base's parameters in u (G, D) to where slopes foretell the least costs, which are returned."""
         k = len(base.xi)
-        sound = np.nan_to_num(residuals, nan=0.0, posinf=0.0, neginf=0.0)
-        white, slopes = scatter.whiten(sound), _whiten_slopes(scatter, base.slopes)
-        weighted = slopes * scatter.weights(white)[..., None]
-        matrix = np.einsum("dnvc,envc->de", weighted, slopes, optimize=True) + np.eye(k) / PRIOR**2
-        gradient = np.einsum("dnvc,nvc->d", weighted, white) + (u[:k] - 0.5) / PRIOR**2
-        moved = np.clip(u[:k] - np.linalg.solve(matrix, gradient), 0.0, 1.0)
-        foretold: Array = residuals + np.einsum("d,dnvc->nvc", moved - u[:k], base.slopes)
-        u[:k] = moved
-        return self._cost(u, foretold, scatter)
+        slopes, white = scatter.turned(base.slopes), scatter.whiten(np.where(np.isfinite(residuals), residuals, 0.0))
+        flat, costs = slopes.reshape(k, -1), list[float]()
+        for row, there, r in zip(u, white, residuals, strict=True):
+            weighted = (slopes * scatter.weights(there)[..., None]).reshape(k, -1)
+            matrix = weighted @ flat.T + np.eye(k) / PRIOR**2
+            gradient = weighted @ there.ravel() + (row[:k] - 0.5) / PRIOR**2
+            moved = np.clip(row[:k] - np.linalg.solve(matrix, gradient), 0.0, 1.0)
+            foretold: Array = r + np.tensordot(moved - row[:k], base.slopes, 1)
+            row[:k] = moved
+            costs.append(self._cost(row, foretold, scatter))
+        return costs
 
     def foretold(self, replay: Replay, xi: Array, residuals: Array, base: Fit, scatter: Scatter) -> Array:
         """Negative log posteriors (G,) [nats] where a base's parameters make up for the rest, or stay: what is less.
@@ -166,8 +168,7 @@ class Fitter:
         stay = np.array([self._cost(row, r, scatter) for row, r in zip(u, residuals, strict=True)])
         if not len(base.xi):
             return stay
-        react = [self._react(row, r, base, scatter) for row, r in zip(u, residuals, strict=True)]
-        return np.minimum(stay, react)
+        return np.minimum(stay, self._react(u, residuals, base, scatter))
 
     def residuals_at(self, replay: Replay, xi: Array, force: Array | None = None) -> Array:
         """Residuals (G, N, nv, C) at free parameters (G, D), brought inside the bounds; see `Replay.residuals`."""
@@ -242,14 +243,14 @@ class Fitter:
             slopes[anew] = (moved - fit.residuals) / step[:, None, None, None]
             slopes[~np.isfinite(slopes)] = 0.0
         weight = fit.scatter.weights(fit.scatter.whiten(fit.residuals))
-        white = _whiten_slopes(fit.scatter, slopes)
-        information = np.einsum("dnvc,nv,envc->de", white, weight, white, optimize=True) + np.eye(d) / PRIOR**2
+        white, size = fit.scatter.turned(slopes), fit.residuals.size
+        information = (white * weight[..., None]).reshape(d, size) @ white.reshape(d, size).T + np.eye(d) / PRIOR**2
         return replace(fit, slopes=slopes, information=information, fresh=fresh, known=True)
 
     def _gradient(self, fit: Fit, u: Array) -> Array:
         white = fit.scatter.whiten(fit.residuals)
         weighted = white * fit.scatter.weights(white)[..., None]
-        return np.einsum("dnvc,nvc->d", _whiten_slopes(fit.scatter, fit.slopes), weighted) + (u - 0.5) / PRIOR**2
+        return fit.scatter.turned(fit.slopes).reshape(len(u), -1) @ weighted.ravel() + (u - 0.5) / PRIOR**2
 
     def _trial(self, fit: Fit, u: Array, gradient: Array, damping: float) -> Array:
         """A damped Gauss-Newton step that stays in the box: parameters pushed against a bound stay there."""
@@ -273,10 +274,6 @@ class Fitter:
     def _residuals(self, replay: Replay, u: Array, force: Array | None = None) -> Array:
         xi = np.array([replay.outward(row) for row in u]).reshape(len(u), -1)
         return self.quieten(self.seen(replay.residuals(xi, self.windows, self.horizons, force)))
-
-
-def _whiten_slopes(scatter: Scatter, slopes: Array) -> Array:
-    return np.stack([slopes[:, :, d] @ n.whitener for d, n in enumerate(scatter.noises)], axis=2)
 
 
 def _carried(fit: Fit, move: Array, change: Array) -> Array:

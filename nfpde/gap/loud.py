@@ -52,13 +52,12 @@ def noise_residuals(
 
     Noise at a window's start spreads as the simulation carries it on; noise at its end adds to that.
     """
-    model, nv = replay.sim.model, replay.nv
-    rng = np.random.default_rng(seed)
+    nv, rng = replay.nv, np.random.default_rng(seed)
     steps = np.array(horizons) - 1
     a = replay.predict(xi[None], windows)[0][:, steps]
     found = []
     for _ in range(draws):
-        moved = started_beside(model, windows, rng.normal(size=(len(windows), 2 * nv)) * sigma)
+        moved = started_beside(replay, windows, rng.normal(size=(len(windows), 2 * nv)) * sigma)
         apart = replay.sim.states.difference(replay.predict(xi[None], moved)[0][:, steps], a)
         found.append(replay.by_dof(apart + sigma * rng.normal(size=apart.shape)))
     return np.array(found)

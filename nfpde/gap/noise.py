@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
-from nfpde.estimation.trajectory.student import GAUSSIAN, Student, learn_student
+from nfpde.estimation.trajectory.student import Student, learn_students
 
 Array = NDArray[np.float64]
 
@@ -38,14 +38,16 @@ class Scatter:
     floor: Array
 
     def whiten(self, residuals: Array) -> Array:
-        """White residuals, (..., nv, C) to the same shape."""
-        filled = np.where(np.isfinite(residuals), residuals, LOST * self.floor)
-        return np.stack([filled[..., d, :] @ n.whitener for d, n in enumerate(self.noises)], axis=-2)
+        """White residuals, (..., N, nv, C) to the same shape."""
+        return self.turned(np.where(np.isfinite(residuals), residuals, LOST * self.floor))
+
+    def turned(self, residuals: Array) -> Array:
+        """What `whiten` makes of residuals that are all finite, or of their slopes."""
+        return (residuals.swapaxes(-3, -2) @ self._whiteners).swapaxes(-3, -2)
 
     def weights(self, white: Array) -> Array:
         """What each window counts in least squares, by degree of freedom: (..., nv, C) to (..., nv)."""
-        squares = (white**2).sum(-1)
-        return np.stack([n.weight(squares[..., d]) for d, n in enumerate(self.noises)], axis=-1)
+        return (self._degrees + white.shape[-1]) / (self._degrees + (white**2).sum(-1))
 
     def curvature(self, white: Array) -> Array:
         """What each window adds to the second derivative of a cost, by degree of freedom: (N, nv, C) to (N, nv).
@@ -53,8 +55,7 @@ class Scatter:
         In the mean over the directions of a residual; less than its weight, as tails pull less the farther out.
         """
         squares, channels = (white**2).sum(-1), white.shape[-1]
-        degrees = np.array([n.degrees for n in self.noises])
-        return self.weights(white) * (1.0 - 2.0 / channels * squares / (degrees + squares))
+        return self.weights(white) * (1.0 - 2.0 / channels * squares / (self._degrees + squares))
 
     def pulls_without(self, white: Array) -> Array:
         """White residuals times weights, as the scatter of all other windows has them: (N, nv, C) to the same shape.
@@ -70,26 +71,23 @@ class Scatter:
 
     def log_density(self, residuals: Array) -> Array:
         """Log density of windows, summed over degrees of freedom: (..., N, nv, C) to (..., N) [nats]."""
-        squares = (self.whiten(residuals) ** 2).sum(-1)
-        parts = [_constant(n) - 0.5 * n.cost(squares[..., d]) for d, n in enumerate(self.noises)]
-        return np.sum(parts, axis=0)
+        squares, degrees = (self.whiten(residuals) ** 2).sum(-1), self._degrees
+        costs = (degrees + residuals.shape[-1]) * np.log1p(squares / degrees)
+        return sum(n.log_constant for n in self.noises) - 0.5 * costs.sum(-1)
 
+    @cached_property
+    def _whiteners(self) -> Array:
+        return np.array([n.whitener for n in self.noises])
 
-def _constant(noise: Student) -> float:
-    """The part of a log density that does not depend on the residual."""
-    channels, degrees = len(noise.whitener), noise.degrees
-    volume = float(np.linalg.slogdet(noise.whitener)[1])
-    if degrees >= GAUSSIAN:
-        return volume - 0.5 * channels * np.log(2 * np.pi)
-    tails = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
-    return float(volume + tails)
+    @cached_property
+    def _degrees(self) -> Array:
+        return np.array([n.degrees for n in self.noises])
 
 
 def learn_scatter(residuals: Array, fitted: int, floor: Array) -> Scatter:
     """Maximum-likelihood scatter of residuals (N, nv, C) that `fitted` parameters were fitted to."""
     share = max(1, fitted // residuals.shape[1])
-    parts = range(residuals.shape[1])
-    return Scatter(tuple(learn_student([residuals[:, d]], share, floor[d], thrifty=False) for d in parts), floor)
+    return Scatter(tuple(learn_students(residuals, share, floor)), floor)
 
 
 def floor_of(residuals: Array, moved: Array) -> Array:

@@ -155,14 +155,11 @@ class Replay:
         return np.concatenate([difference[..., :nv], difference[..., nv:]], axis=-2).swapaxes(-1, -2)
 
 
-def started_beside(model: mujoco.MjModel, windows: Windows, shift: Array) -> Windows:
+def started_beside(replay: Replay, windows: Windows, shift: Array) -> Windows:
     """The windows with their starts moved by (2 nv,) or (N, 2 nv), positions in tangent space."""
-    start = windows.state[:, 0].copy()
-    shift = np.broadcast_to(shift, (len(windows), 2 * model.nv))
-    for qpos, dq in zip(start[:, : model.nq], shift[:, : model.nv], strict=True):
-        mujoco.mj_integratePos(model, qpos, dq, 1.0)
-    start[:, model.nq :] += shift[:, model.nv :]
-    return replace(windows, state=np.concatenate([start[:, None], windows.state[:, 1:]], axis=1))
+    start = windows.state[:, 0]
+    moved = replay.sim.states.moved(start, np.broadcast_to(shift, (len(start), 2 * replay.nv)))
+    return replace(windows, state=np.concatenate([moved[:, None], windows.state[:, 1:]], axis=1))
 
 
 def displaced(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[int], size: Array) -> Array:
@@ -185,6 +182,6 @@ def displaced(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[in
     change = np.zeros((2, channels, *there.shape[:2], channels))
     for channel in np.flatnonzero(size > 0):
         for side, sign in enumerate((1.0, -1.0)):
-            moved = started_beside(replay.sim.model, windows, sign * size * (np.arange(channels) == channel))
+            moved = started_beside(replay, windows, sign * size * (np.arange(channels) == channel))
             change[side, channel] = replay.sim.states.difference(replay.predict(xi[None], moved)[0][:, steps], there)
     return np.nan_to_num(change, posinf=0.0, neginf=0.0)

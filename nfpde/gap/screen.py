@@ -138,8 +138,7 @@ def screen(
 
 def span_of(base: Fit, scatter: Scatter, root: Array) -> Array:
     """Orthonormal columns of what the free parameters can do to the weighted residuals, (n, D)."""
-    slopes = [(scatter.whiten(s) * root).ravel() for s in base.slopes]
-    columns = np.array(slopes).reshape(len(slopes), base.residuals.size).T
+    columns = (scatter.turned(base.slopes) * root).reshape(len(base.slopes), base.residuals.size).T
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 1e-9 * norms.max(initial=1e-300)]
     if not columns.shape[1]:

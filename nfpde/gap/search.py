@@ -45,6 +45,7 @@ class Found:
     early: whether windows start in the first rows of episodes, too
     by: the stage of a part of the joints, where these alone told what was found
     halves: what was held out; None where the seed decided
+    every: whether all short windows were looked at
     """
 
     recordings: Recordings
@@ -55,6 +56,7 @@ class Found:
     early: bool
     by: Stage | None = None
     halves: HeldOut | None = None
+    every: bool = False
 
     @property
     def remembers(self) -> bool:
@@ -109,14 +111,14 @@ class Search:
         """What was found, and the stage on which its gap is measured.
 
         Beside contacts some of the short windows are enough for most faults. Where noise may leave as much as they
-        show, all single steps are searched first; where all lengths show nothing, all windows of the others, too; and
-        where these show nothing, joints that touch nothing are asked by themselves.
+        show, or they show nothing, all of them are searched; where these show nothing, joints that touch nothing are
+        asked by themselves.
         """
         stage, found = self._to_the_end()
         selection, final = found.selection, found.final
         if found.accepted or selection.spotless(final):
             return stage, found
-        if selection.at_floor(final) and self._has_more(found.recordings):
+        if selection.at_floor(final) and not found.every and self._has_more(found.recordings):
             self.report("nothing so far: all short windows")
             search, steps = replace(self, most=EVERY, before=found), selection.steps
             stage, found = search._to_the_end()
@@ -182,9 +184,10 @@ class Search:
         selection = replace(self.select(first), last=len(lengths) == 1)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
-        if whole and self.before is None and self._in_noise(first, lengths[-1], selection):
-            self.report("all single steps")
-            lengths[0] = brief(recordings, EVERY)[0]
+        hidden = whole and self.before is None and self._in_noise(first, lengths[-1], selection)
+        if hidden:
+            self.report("all short windows")
+            lengths = brief(recordings, EVERY)
             base, court = moved_over(first.base, court, lengths[0])
             first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=first)
             selection = replace(_moved(selection, first), below=True)
@@ -208,7 +211,7 @@ class Search:
             stage = self.after(near, longer, final.fit if accepted else None)
             selection = replace(selection, last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
-        return Found(recordings, near, selection, final, accepted, lead == 0, halves=held)
+        return Found(recordings, near, selection, final, accepted, lead == 0, halves=held, every=hidden)
 
     def over_longest(self, found: Found) -> tuple[Stage, Found]:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.

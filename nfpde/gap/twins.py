@@ -25,7 +25,7 @@ ALIKE = 0.5
 """Share of what an effect changes (squares) that another must be able to change alike to be tried in its place."""
 
 CONCEIVABLE = 0.25
-"""The same share of what mixtures of the values that are screened change: those with less are not looked at closely."""
+"""The same share of what mixtures of the values that were tried change: those with less are not looked at closely."""
 
 MOST_TWINS = 3
 """Effects tried in the place of one, at most: those most alike."""
@@ -74,14 +74,14 @@ def find_twins(
         index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
         guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
         changes = change(fitter.residuals_at(replay, guesses))
-        # beside contacts what friction holds shows nothing of what it does at its size
-        if not touches and share_of_mixtures(changes, wanted) < CONCEIVABLE:
-            continue
-        alike = likeness(changes)
         for width in (1.0, CLOSER):
-            more = all_over(replay, index, guesses[int(alike.argmax())], looks, width)
+            # beside contacts what friction holds shows nothing of what it does at its size, until it is looked for
+            if (width < 1.0 or not touches) and share_of_mixtures(changes, wanted) < CONCEIVABLE:
+                break
+            more = all_over(replay, index, guesses[int(likeness(changes).argmax())], looks, width)
             guesses = np.vstack([guesses, more])
-            alike = np.concatenate([alike, likeness(change(fitter.residuals_at(replay, more)))])
+            changes = np.concatenate([changes, change(fitter.residuals_at(replay, more))])
+        alike = likeness(changes)
         order = np.argsort(-alike, kind="stable")[:GUESSES]
         share = float(alike[order[0]])
         if share >= ALIKE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,16 @@ class Student:
         """What a window counts in least squares: one in a Gaussian, little far out in the tails."""
         return (self.degrees + len(self.whitener)) / (self.degrees + squares)
 
+    @cached_property
+    def log_constant(self) -> float:
+        """The part of a log density that does not depend on the residual [nats]."""
+        channels, degrees = len(self.whitener), self.degrees
+        volume = float(np.linalg.slogdet(self.whitener)[1])
+        if degrees >= GAUSSIAN:
+            return volume - 0.5 * channels * np.log(2 * np.pi)
+        tails = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
+        return float(volume + tails)
+
 
 def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thrifty: bool = True) -> Student:
     """Maximum-likelihood noise of the residuals of all robots at their best parameters.
@@ -57,15 +68,33 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thri
     Returns:
         The noise.
     """
-    r = np.concatenate(residuals)
-    r = r[np.isfinite(r).all(1)] / floor
-    n, channels = r.shape
-    left = max(n - fitted / channels, 0.1 * n)
-    whiteners, scores = _scatters(r, DEGREES, n / left, full=n >= 5 * channels)
+    r = np.concatenate(residuals)[:, None]
+    return _learned(r, fitted, np.asarray(floor)[None], thrifty=thrifty)[0]
+
+
+def learn_students(residuals: Array, fitted: int, floor: Array) -> list[Student]:
+    """What `learn_student` learns, without thrift, of the residuals of several degrees of freedom by themselves.
+
+    Args:
+        residuals: (n, P, C); windows that diverged (NaN) are left out.
+        fitted: number of parameters fitted to each.
+        floor: standard deviation below which no channel is believed, (P, C).
+    """
+    return _learned(residuals, fitted, floor, thrifty=False)
+
+
+def _learned(residuals: Array, fitted: int, floor: Array, *, thrifty: bool) -> list[Student]:
+    r = np.moveaxis(residuals / floor, 1, 0)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(r).all(2))
+    n, channels = known.sum(1), r.shape[2]
+    left = np.maximum(n - fitted / channels, 0.1 * n)
+    r = np.where(known[..., None], r, 0.0)
+    whiteners, scores = _scatters(r, known, DEGREES, n / left, n >= 5 * channels)
     if thrifty:
-        scores = scores - np.array([tails_cost(float(degrees), n) for degrees in DEGREES]) / n
-    best = int(np.argmax(scores))
-    return Student(whiteners[best] / floor[:, None], float(DEGREES[best]))
+        costs = [[tails_cost(float(degrees), int(count)) / count for degrees in DEGREES] for count in n]
+        scores = scores - np.array(costs)
+    best = scores.argmax(1)
+    return [Student(whiteners[p, k] / floor[p][:, None], float(DEGREES[k])) for p, k in enumerate(best)]
 
 
 def tails_cost(degrees: float, n: int) -> float:
@@ -73,23 +102,38 @@ def tails_cost(degrees: float, n: int) -> float:
     return 0.5 * np.log(n) if degrees < GAUSSIAN else 0.0
 
 
-def _scatters(r: Array, degrees: Array, inflation: float, *, full: bool) -> tuple[Array, Array]:
-    """Whitening matrices (K, C, C) of r (n, C) by EM at degrees of freedom (K,), and mean log densities (K,) [nats]."""
-    n, channels = r.shape
-    weights, squares = np.ones((len(degrees), n)), np.zeros((len(degrees), n))
-    whiteners = np.tile(np.eye(channels), (len(degrees), 1, 1))
-    going = np.arange(len(degrees))
+def _scatters(r: Array, known: NDArray[np.bool_], degrees: Array, inflation: Array, full: Array) -> tuple[Array, Array]:
+    """Whitening matrices by EM of several residuals at several degrees of freedom, and what these are worth.
+
+    Args:
+        r: Residuals (P, n, C), zero where they are not known.
+        known: Which of them are (P, n).
+        degrees: Degrees of freedom tried (K,).
+        inflation: Factor of each scatter (P,).
+        full: Whether its channels are correlated (P,).
+
+    Returns:
+        Whitening matrices (P, K, C, C), and mean log densities [nats] (P, K).
+    """
+    (count, n, channels), kinds = r.shape, len(degrees)
+    which, nu = np.repeat(np.arange(count), kinds), np.tile(degrees, count)
+    weights, squares = known[which].astype(float), np.zeros((count * kinds, n))
+    whiteners = np.tile(np.eye(channels), (count * kinds, 1, 1))
+    total, correlated = known.sum(1), np.where(full[:, None, None], 1.0, np.eye(channels))
+    going = np.arange(count * kinds)
     for _ in range(30):
-        scatter = inflation * (r.T * weights[going, None]) @ r / n
-        values, vectors = np.linalg.eigh(scatter if full else scatter * np.eye(channels))
+        own, of = r[which[going]], which[going]
+        scatter = (own * weights[going, :, None]).swapaxes(1, 2) @ own
+        values, vectors = np.linalg.eigh((inflation / total)[of, None, None] * scatter * correlated[of])
         whiteners[going] = vectors / np.sqrt(np.maximum(values, 1.0))[:, None]
-        squares[going] = ((r @ whiteners[going]) ** 2).sum(-1)
-        updated = (degrees[going, None] + channels) / (degrees[going, None] + squares[going])
+        squares[going] = ((own @ whiteners[going]) ** 2).sum(-1)
+        updated = known[of] * (nu[going, None] + channels) / (nu[going, None] + squares[going])
         moving = np.abs(updated - weights[going]).max(1) >= 1e-3
         going = going[moving]
         if not len(going):
             break
         weights[going] = updated[moving]
-    constant = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
-    tails = 0.5 * (degrees[:, None] + channels) * np.log1p(squares / degrees[:, None])
-    return whiteners, constant + np.linalg.slogdet(whiteners)[1] - tails.mean(1)
+    constant = gammaln((nu + channels) / 2) - gammaln(nu / 2) - 0.5 * channels * np.log(nu * np.pi)
+    tails = 0.5 * (nu + channels) * (known[which] * np.log1p(squares / nu[:, None])).sum(1) / total[which]
+    scores = constant + np.linalg.slogdet(whiteners)[1] - tails
+    return whiteners.reshape(count, kinds, channels, channels), scores.reshape(count, kinds)
