@@ -11,7 +11,7 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, effect
 from nfpde.gap.acceptance import NOISE_TIMES
-from nfpde.gap.bootstrap import DRAWS, FIRST, STILL, NoiseAlone, judging, no_more_than
+from nfpde.gap.bootstrap import DRAWS, FIRST, HIDDEN, STILL, NoiseAlone, judging, no_more_than
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.recordings import cut_recordings
@@ -187,14 +187,14 @@ class Given(NoiseAlone):
     ("given", "enough", "gives", "draws"),
     [
         # Student's quantiles of 2 and 3 degrees at 0.05 / 7 and 0.05 / 6 are 8.277 and 4.857
-        ([0.0] * DRAWS, 9.6 * LEAST_GAIN, False, FIRST),
-        ([0.0] * DRAWS, 9.5 * LEAST_GAIN, False, 4),
-        ([0.0] * DRAWS, 1.9 * LEAST_GAIN, False, DRAWS),  # of the last one 1.860 at 8 degrees and 0.05
-        ([0.0] * 8 + [50.0, 0.0], 1.9 * LEAST_GAIN, True, 9),
+        ([0.0] * DRAWS, 9.6 * HIDDEN, False, FIRST),
+        ([0.0] * DRAWS, 9.5 * HIDDEN, False, 4),
+        ([0.0] * DRAWS, 1.9 * HIDDEN, False, DRAWS),  # of the last one 1.860 at 8 degrees and 0.05
+        ([0.0] * 8 + [50.0, 0.0], 1.9 * HIDDEN, True, 9),
         ([0.0, 100.0, 200.0] + [0.0] * 7, 1055.0, False, 4),  # the mean of three is 100, so is their deviation
         ([0.0, 100.0, 200.0] + [0.0] * 7, 1056.0, False, FIRST),
         ([0.0, 100.0], 99.0, True, 2),
-        ([-1000.0] * DRAWS, 1.9 * LEAST_GAIN, False, DRAWS),  # what noise takes says nothing of what it gives
+        ([-1000.0] * DRAWS, 1.9 * HIDDEN, False, DRAWS),  # what noise takes says nothing of what it gives
     ],
 )
 def test_draws_end_where_the_first_ones_give_next_to_nothing(given, enough, gives, draws):

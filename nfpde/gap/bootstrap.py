@@ -34,8 +34,11 @@ live to see them all."""
 FIRST, STILL = 3, 0.05
 """Draws after which no more are made of a candidate if one of those still to come would reach what it gained with no
 more than this chance (prediction intervals of a normal distribution: Hahn, Meeker, Statistical intervals, 1991,
-chapter 4). All draws together rule out one in eleven. Few draws know a deviation roughly: it counts as no less than
-`LEAST_GAIN`."""
+chapter 4). All draws together rule out one in eleven."""
+
+HIDDEN = LEAST_GAIN / 12**0.5
+"""Standard deviation [nats] that draws have at least: what gains less than `LEAST_GAIN` counts as nothing, and may be
+anything below that."""
 
 SHARES = (1.0, 0.3, 0.1, 0.01)
 """Of what a candidate was fitted to be, from which it is fitted to noise."""
@@ -67,12 +70,12 @@ class NoiseAlone:
             enough: What it must gain.
         """
         given = list[float]()
-        chance = LEAST_GAIN / len(self._court.held.windows)  # gains scatter by as much at least
+        least = HIDDEN / len(self._court.held.windows)
         for draw in range(DRAWS):
             given.append(max(self.gain(trial, draw), 0.0))
             if given[-1] >= enough:
                 return True
-            if FIRST <= len(given) < DRAWS and enough > no_more_than(given, chance):
+            if FIRST <= len(given) < DRAWS and enough > no_more_than(given, least):
                 return False
         return False
 
