@@ -17,9 +17,10 @@ from nfpde.gap.recordings import Recordings, blocks_of
 LENGTHS = 3
 """Lengths of short windows, shortest first: the shortest of the horizons at which long windows are compared."""
 
-MOST, EVERY = 200, 3000
-"""Windows of one control step in each half, at most; of h steps fewer by the root of h. So many find what is above the
-noise; those of a fault that noise nearly hides take all there are."""
+MOST, EVERY = 400, 3000
+"""Windows of one control step in each half, at most; of h steps fewer by the root of h. So many find what is worth a
+name in most recordings; those of a fault that noise nearly hides take all there are. With half as many a floor that is
+wrong is taken for other things, too."""
 
 
 def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
