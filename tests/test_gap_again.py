@@ -41,7 +41,7 @@ class Leaving(Selection):
         (SOFT, 400, ["found"], 1.0, False, False),  # what is there was found
         (SOFT, 400, [], 9.0, False, False),  # far more than noise: more windows explain no more of it
         (SOFT, 400, [], 0.9 * LEAST_GAP, False, False),  # nor of what is next to nothing
-        (SOFT, 60, [], 1.0, False, False),  # there are no more
+        (SOFT, 120, [], 1.0, False, False),  # there are no more
         (FAST, 400, [], 1.0, False, False),  # nothing touches anything: windows are long, and all that there are
     ],
 )

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from nfpde.estimation.trajectory.chains import Chains, Factor
 from nfpde.estimation.trajectory.components import (
@@ -19,7 +18,7 @@ from nfpde.estimation.trajectory.components import (
     width_at_starts,
 )
 from nfpde.estimation.trajectory.noise import Scatter
-from nfpde.estimation.trajectory.student import DEGREES, learn_student, tails_cost
+from nfpde.estimation.trajectory.student import DEGREES, learn_student, standard_constant, tails_cost
 
 Array = NDArray[np.float64]
 
@@ -179,7 +178,7 @@ def _least_scale(scatter: Scatter, floors: tuple[Array, Array]) -> float:
 def _tails(scatter: Scatter, factor: Factor, squares: Array, inflation: float, least: float) -> tuple[Scatter, float]:
     """The degrees of freedom and the scale that fit the squares of the innovations best, and the log likelihood."""
     sound = np.isfinite(squares)
-    m, channels = inflation * squares[sound], float(factor.spread.shape[1])
+    m, channels = inflation * squares[sound], int(factor.spread.shape[1])
     half_det = 0.5 * np.linalg.slogdet(factor.spread[sound])[1].sum()
     best = (scatter, -np.inf)
     for degrees in DEGREES:
@@ -191,7 +190,7 @@ def _tails(scatter: Scatter, factor: Factor, squares: Array, inflation: float, l
             scale = max(updated, least)
             if updated < least:
                 break
-        constant = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
+        constant = standard_constant(degrees, channels)
         terms = constant - 0.5 * channels * np.log(scale) - 0.5 * (degrees + channels) * np.log1p(m / scale / degrees)
         score = float(terms.sum() - half_det) - tails_cost(degrees, len(m))
         if score > best[1]:

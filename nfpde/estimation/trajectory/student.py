@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 Array = NDArray[np.float64]
@@ -32,26 +32,22 @@ class Student:
     whitener: Array
     degrees: float
 
-    def cost(self, squares: Array) -> Array:
-        """Twice the negative log density, up to a constant, of squared white residuals m = |r W|^2 (...)."""
-        return (self.degrees + len(self.whitener)) * np.log1p(squares / self.degrees)
-
-    def weight(self, squares: Array) -> Array:
-        """What a window counts in least squares: one in a Gaussian, little far out in the tails."""
-        return (self.degrees + len(self.whitener)) / (self.degrees + squares)
-
     @cached_property
     def log_constant(self) -> float:
         """The part of a log density that does not depend on the residual [nats]."""
-        channels, degrees = len(self.whitener), self.degrees
-        volume = float(np.linalg.slogdet(self.whitener)[1])
-        if degrees >= GAUSSIAN:
+        channels, volume = len(self.whitener), float(np.linalg.slogdet(self.whitener)[1])
+        if self.degrees >= GAUSSIAN:
             return volume - 0.5 * channels * np.log(2 * np.pi)
-        tails = gammaln((degrees + channels) / 2) - gammaln(degrees / 2) - 0.5 * channels * np.log(degrees * np.pi)
-        return float(volume + tails)
+        return volume + float(standard_constant(self.degrees, channels))
 
 
-def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thrifty: bool = True) -> Student:
+def standard_constant(degrees: ArrayLike, channels: int) -> Array:
+    """Log density of Student's t with unit scatter over so many channels where it is largest [nats]."""
+    nu = np.asarray(degrees, dtype=np.float64)
+    return gammaln((nu + channels) / 2) - gammaln(nu / 2) - 0.5 * channels * np.log(nu * np.pi)
+
+
+def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Student:
     """Maximum-likelihood noise of the residuals of all robots at their best parameters.
 
     Sensor noise in a window's start spreads over the channels of its end, so the scatter is a full matrix where there
@@ -62,18 +58,18 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array, *, thri
         residuals: (n_g, C) for every robot; windows that diverged (NaN) are left out.
         fitted: number of parameters fitted to them.
         floor: standard deviation below which no channel is believed, (C,).
-        thrifty: whether tails must pay for themselves; not where windows that no fit saw are judged, one of which may
-            surprise a Gaussian.
 
     Returns:
         The noise.
     """
     r = np.concatenate(residuals)[:, None]
-    return _learned(r, fitted, np.asarray(floor)[None], thrifty=thrifty)[0]
+    return _learned(r, fitted, floor[None], thrifty=True)[0]
 
 
 def learn_students(residuals: Array, fitted: int, floor: Array) -> list[Student]:
-    """What `learn_student` learns, without thrift, of the residuals of several degrees of freedom by themselves.
+    """What `learn_student` learns of the residuals of several degrees of freedom, each by itself.
+
+    Tails need not pay for themselves: one of the windows that no fit saw, which are judged, may surprise a Gaussian.
 
     Args:
         residuals: (n, P, C); windows that diverged (NaN) are left out.
@@ -133,7 +129,6 @@ def _scatters(r: Array, known: NDArray[np.bool_], degrees: Array, inflation: Arr
         if not len(going):
             break
         weights[going] = updated[moving]
-    constant = gammaln((nu + channels) / 2) - gammaln(nu / 2) - 0.5 * channels * np.log(nu * np.pi)
     tails = 0.5 * (nu + channels) * (known[which] * np.log1p(squares / nu[:, None])).sum(1) / total[which]
-    scores = constant + np.linalg.slogdet(whiteners)[1] - tails
+    scores = standard_constant(nu, channels) + np.linalg.slogdet(whiteners)[1] - tails
     return whiteners.reshape(count, kinds, channels, channels), scores.reshape(count, kinds)
