@@ -1,5 +1,6 @@
 """Accepted effects later on: told apart once, dropped where they do nothing or harm."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -247,6 +248,9 @@ class Deeper(Stuck):
     gaps: Any = None
     accepts: Any = None
 
+    def _converged(self, fit) -> Any:
+        return Trial(None, fit, np.zeros(50), fit.residuals, np.zeros(50))
+
     def gap_of(self, trial) -> Any:
         return self.gaps[trial]
 
@@ -255,10 +259,18 @@ class Deeper(Stuck):
 
 
 @pytest.mark.parametrize(
-    ("gap", "accepts", "sigma", "idle"),
-    [(1.0, None, 1.0, True), (1.0, "it", 1.0, False), (9.0, None, 1.0, False), (1.0, None, None, False)],
+    ("gap", "deeper", "accepts", "sigma", "idle"),
+    [
+        (1.0, 50.0, None, 1.0, True),
+        (1.0, 50.0, "it", 1.0, False),
+        (9.0, 50.0, None, 1.0, False),
+        (1.0, 1.0, None, 1.0, False),  # chance
+        (1.0, 50.0, None, None, False),
+    ],
 )
-def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_for_there(gap, accepts, sigma, idle):
+def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_for_there(
+    gap, deeper, accepts, sigma, idle
+):
     """Only beside contacts, only where the others alone are better off than before, only if it is refused there."""
     rng = np.random.default_rng(31)
     one, other = rng.normal(size=(2, 50, 1, 2))
@@ -269,10 +281,11 @@ def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_f
     court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
     sigmas = None if sigma is None else np.full(2, sigma)
     selection = Deeper(ANYTHING, None, 1, court, [], yardstick=MEASURED, sigma=sigmas)
-    smaller = Line(start, [one], [])
+    smaller: Any = Line(start, [one], [])
     selection.smaller, selection.accepts = smaller, accepts
     trial = Trial(ANYTHING, fitter.start(both, np.array([[0.3, 0.7]]), scatter), np.zeros(50), start, np.zeros(50))
-    before: Any = "before"
+    alone = fitter.start(smaller, np.array([[0.3]]), scatter)
+    before = Trial(None, replace(alone, cost=alone.cost + deeper), np.zeros(50), start, np.zeros(50))
 
     class Gaps(dict):
         def __missing__(self, key):
@@ -282,7 +295,7 @@ def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_f
     found: Any = selection._idle(trial, before, 10.0)
     assert (found is not None) is idle
     if idle:
-        assert found.replay is smaller
+        assert found.fit.replay is smaller
 
 
 class Settled(Selection):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,13 @@ RESOLVED = 0.3
 PRIOR = 0.5
 """Standard deviation of a parameter about the middle of its bounds, as a share of their width: weak, and enough to
 keep what the recordings say nothing about from wandering."""
+
+HEAT, FEWEST = 1 / 4, 20
+"""Many guesses are first compared on this share of the windows, and on so many at least (successive halving: Karnin,
+Koren and Somekh, ICML 2013)."""
+
+MANY, GO_ON = 16, 8
+"""Times as many guesses as are asked for, from which they are many, and of these as many as go on to all windows."""
 
 _DAMPINGS = np.array([0.1, 10.0])
 
@@ -130,14 +138,30 @@ class Fitter:
             base: A linearised fit on these windows of a replay with the first parameters alone: they make up for the
                 rest of each guess first, as far as slopes foretell.
         """
+        if len(guesses) > MANY * count:
+            guesses = self._ahead(replay, guesses, scatter, GO_ON * count, base)
+        compared = self._compared(replay, guesses, scatter, base)
+        return np.concatenate([places[np.argsort(costs, kind="stable")[:count]] for costs, places in compared])
+
+    def _ahead(self, replay: Replay, guesses: Array, by: Scatter, count: int, base: Fit | None) -> Array:
+        """Guesses that are among the best so many on a part of the windows; all, where the windows are few."""
+        total = len(self.windows)
+        some = np.linspace(0, total - 1, max(math.ceil(HEAT * total), FEWEST)).round().astype(int)
+        if 2 * len(some) > total:
+            return guesses
+        part = base and replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
+        compared = self.some(some)._compared(replay, guesses, by, part)
+        return guesses[np.unique([np.argsort(costs, kind="stable")[:count] for costs, _ in compared])]
+
+    def _compared(self, replay: Replay, guesses: Array, by: Scatter, base: Fit | None) -> list[tuple[Array, Array]]:
+        """Costs of guesses (G,) and their places (G, D): where a base's parameters made up for the rest, and as is."""
         u = replay.inward(guesses)
         residuals = self._residuals(replay, u)
-        costs = [self._cost(row, r, scatter) for row, r in zip(u, residuals, strict=True)]
-        found = guesses[np.argsort(costs, kind="stable")[:count]]
+        stay = np.array([self._cost(row, r, by) for row, r in zip(u, residuals, strict=True)])
         if base is None or not len(base.xi):
-            return found
-        costs = self._react(u, residuals, base, scatter)
-        return np.concatenate([replay.outward(u[np.argsort(costs, kind="stable")[:count]]), found])
+            return [(stay, guesses)]
+        costs = np.array(self._react(u, residuals, base, by))
+        return [(costs, replay.outward(u)), (stay, guesses)]
 
     def _react(self, u: Array, residuals: Array, base: Fit, scatter: Scatter) -> list[float]:
         """Move a base's parameters in u (G, D) to where slopes foretell the least costs, which are returned."""

@@ -192,8 +192,8 @@ class Search:
             first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=first)
             selection = replace(_moved(selection, first), below=True)
         near, selection, final, accepted = self._select(first, selection)
-        if selection.below and accepted:
-            lengths = lengths[:1]
+        if selection.below:  # where these ask for nothing, what adds up shows most in the longest
+            lengths = lengths[:1] if accepted else [lengths[0], lengths[-1]]
         if lead is None or not _remembers(accepted):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0

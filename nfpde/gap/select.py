@@ -204,7 +204,7 @@ class Selection(Acceptance):
         if self.sigma is None or not keep:
             return None
         found = self._converged(fit)
-        deeper = self.gap_of(found) < self.gap_of(current)
+        deeper = current.fit.cost - found.fit.cost >= LEAST_GAIN and self.gap_of(found) < self.gap_of(current)
         return found if deeper and self.accept(found, [trial], first_gap) is None else None
 
     def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
