@@ -55,6 +55,43 @@ def test_parameters_give_back_what_they_stood_in_for():
     assert reacted[1:] == pytest.approx(plain)
 
 
+class Counting(Line):
+    """A line whose windows are numbers, and that counts what is asked of it."""
+
+    asked = 0
+
+    def residuals(self, xi, windows, horizons, force=None):
+        self.asked += len(xi) * len(windows)
+        return super().residuals(xi, windows, horizons, force)[:, windows]
+
+
+@pytest.mark.parametrize(("count", "guesses", "part"), [(400, 200, True), (400, 40, False), (30, 200, False)])
+@pytest.mark.parametrize("yields", [False, True])
+def test_many_guesses_are_compared_on_a_part_of_many_windows_first(count, guesses, part, yields):
+    """Those that are best of all are found by less than half of the work, and the order is that of all windows."""
+    rng = np.random.default_rng(5)
+    slopes, truth = rng.normal(size=(2, count, 2, 4)), np.array([0.3, 0.2])
+    target = -np.einsum("d,dnvc->nvc", truth, slopes) + 0.05 * rng.normal(size=(count, 2, 4))
+    both = Counting(target, slopes, [0.0, 0.0], [1.0, 1.0])
+    scatter = learn_scatter(0.05 * rng.normal(size=(400, 2, 4)), 0, 1e-5 * np.ones((2, 4)))
+    numbers: Any = np.arange(count)
+    fitter = Fitter(numbers, (1, 2))
+    base = None
+    if yields:
+        alone = Counting(target, slopes[:1], [0.0], [1.0])
+        base = fitter.linearise(fitter.improve(fitter.start(alone, np.array([[0.4]]), scatter), 10))
+    xi = np.column_stack([np.full(guesses, 0.3), rng.permutation(np.linspace(0, 1, guesses))])
+    found, work = fitter.best(both, xi, scatter, 3, base), both.asked
+    stay = xi[np.argsort(fitter.costs(both, xi, scatter))[:3]]
+    assert found[-3:] == pytest.approx(stay)
+    if yields:
+        # the base's parameter at its best beside each value: costs are a parabola about the truth
+        nearest = np.argsort(np.abs(xi[:, 1] - 0.2))[:3]
+        error = 0.05 / np.sqrt(target.size)  # of a value that slopes of size one tell
+        assert sorted(found[:3, 1]) == pytest.approx(sorted(xi[nearest, 1]), abs=4 * error)
+    assert (work < 0.5 * guesses * count) is part
+
+
 PLACES = {f"position_{a}": (-0.4, 0.6) for a in "xyz"}
 
 

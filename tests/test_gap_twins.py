@@ -11,6 +11,7 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning, other_beginnings
+from nfpde.gap.brief import brief
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import Selection
@@ -22,26 +23,38 @@ from tests.test_gap_contacts import BLOCK, pushes
 ANYTHING: Any = None
 
 
-def test_a_motor_that_pushes_is_found_for_a_force_that_does():
-    """A block that friction holds against small forces: only at its size does a bias do what the force does."""
+@pytest.mark.parametrize("many", [False, True])
+def test_a_motor_that_pushes_is_found_for_a_force_that_does(many):
+    """A block that friction holds against small forces: only at its size does a bias do what the force does.
+
+    Of many windows a part tells which effects cannot do that at any size.
+    """
     model = mujoco.MjModel.from_xml_string(BLOCK)
-    recordings = cut_recordings(pushes(0.5), 0, 0, 60)
+    if many:
+        recordings = brief(cut_recordings(pushes(0.5, rows=800), 0, 0, 160), 1000)[0]
+    else:
+        recordings = cut_recordings(pushes(0.5), 0, 0, 60)
     base, court = first_fit(Replay(model, None, []), recordings, np.zeros((1, 0)), capped=True)
     stage = in_noise(base, court, recordings, 0)
     force = effect("external_force", "block", force_x=(-9, 9), force_y=(-9, 9), force_z=(-9, 9))
     fit = stage.court.fitter.start(Replay(model, None, [force]), np.array([[4.0, 0.0, 0.0]]), stage.base.fit.scatter)
     found = stage.court.judge(force, fit)
     bias = effect("actuator_bias", 0, offset=(-9, 9))
+    nothing = effect("joint_offset", "along", offset=(-0.1, 0.1))  # the floor is the same everywhere
     others = [
         (effect("armature", "up", inertia=(0, 2)), np.array([[0.5]])),
         (bias, np.array([[0.1], [-0.1]])),
         (effect("joint_offset", "up", offset=(-0.1, 0.1)), np.array([[1e-3]])),
+        (nothing, np.array([[1e-3]])),
     ]
-    alike = find_twins(stage.court, stage.base.fit, found, others, lambda e: Replay(model, None, [e]))
+    made = {e: Replay(model, None, [e]) for e, _ in others}
+    alike = find_twins(stage.court, stage.base.fit, found, others, made.__getitem__)
     assert alike[0].effect is bias
     assert alike[0].share > 0.9  # the last looks are 7 % apart: the nearest is half of that off
     ((_, start),) = alike[0].starts
     assert start[0, 0] == pytest.approx(4.0, rel=0.3)
+    idle, tried = (made[e].sim.simulated_steps for e in (nothing, bias))
+    assert (6 * idle < tried) is many  # 17 looks at a quarter of the windows, against as many there and 34 at all
 
 
 MOTOR_XML = """

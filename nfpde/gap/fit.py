@@ -105,6 +105,13 @@ class Fitter:
         noise = None if self.noise is None else self.noise.some(index)
         return replace(self, windows=self.windows[index], noise=noise)
 
+    @property
+    def heat(self) -> NDArray[np.intp] | None:
+        """A part of the windows to compare many guesses on first; None where they are few."""
+        total = len(self.windows)
+        count = max(math.ceil(HEAT * total), FEWEST)
+        return None if 2 * count > total else np.linspace(0, total - 1, count).round().astype(np.intp)
+
     def seen(self, residuals: Array) -> Array:
         """Of residuals of all degrees of freedom (..., nv, C) those that are looked at."""
         return residuals if self.dofs is None else residuals[..., self.dofs, :]
@@ -145,9 +152,8 @@ class Fitter:
 
     def _ahead(self, replay: Replay, guesses: Array, by: Scatter, count: int, base: Fit | None) -> Array:
         """Guesses that are among the best so many on a part of the windows; all, where the windows are few."""
-        total = len(self.windows)
-        some = np.linspace(0, total - 1, max(math.ceil(HEAT * total), FEWEST)).round().astype(int)
-        if 2 * len(some) > total:
+        some = self.heat
+        if some is None:
             return guesses
         part = base and replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
         compared = self.some(some)._compared(replay, guesses, by, part)

@@ -7,13 +7,14 @@ wrong, or an effect is far larger than what was tried, the cause may rank low, a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
 from nfpde.gap.chart import all_over
-from nfpde.gap.fit import Fit
+from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.refit import GUESSES, LOOKS
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, span_of
@@ -51,43 +52,84 @@ def find_twins(
         replay_with: Makes the replay of the base and one more effect, its parameters last.
     """
     fitter, part = court.screening(base, GLANCED)
-    scatter, xi = found.fit.scatter, found.fit.xi[: len(base.xi)]
-    without = fitter.residuals_at(base.replay, xi[None])[0]
-    within = fitter.residuals_at(found.fit.replay, found.fit.xi[None])[0]
-    root = np.sqrt(scatter.weights(scatter.whiten(within)))[..., None]
-    span = span_of(part, scatter, root)
-
-    def change(there: Array) -> Array:
-        white = (scatter.whiten(there - without) * root).reshape(len(there), -1)
-        rows = np.nan_to_num(white, nan=0.0, posinf=0.0, neginf=0.0)
-        return rows - (rows @ span) @ span.T
-
-    wanted = change(within[None])[0]
-    touches = court.capped > 0
-    size, out = max(float(wanted @ wanted), 1e-300), list[Screened]()
-
-    def likeness(changes: Array) -> Array:
-        return 1.0 - ((changes - wanted) ** 2).sum(1) / size
-
+    every, few, touches = _Changes(fitter, part, found), None, court.capped > 0
+    if touches and (some := fitter.heat) is not None:
+        part = replace(part, residuals=part.residuals[some], slopes=part.slopes[:, some])
+        few = _Changes(fitter.some(some), part, found)
+    out = list[Screened]()
     for effect, values in candidates:
         replay = replay_with(effect)
-        index, looks = len(replay.effects) - 1, LOOKS * len(effect.quantities)
-        guesses = np.hstack([np.tile(xi, (len(values), 1)), values])
-        changes = change(fitter.residuals_at(replay, guesses))
-        for width in (1.0, CLOSER):
-            # beside contacts what friction holds shows nothing of what it does at its size, until it is looked for
-            if (width < 1.0 or not touches) and share_of_mixtures(changes, wanted) < CONCEIVABLE:
-                break
-            more = all_over(replay, index, guesses[int(likeness(changes).argmax())], looks, width)
-            guesses = np.vstack([guesses, more])
-            changes = np.concatenate([changes, change(fitter.residuals_at(replay, more))])
-        alike = likeness(changes)
+        if few is not None and few.hopeless(few.looks(replay, values, (1.0,), touches=touches)[1]):
+            continue
+        guesses, changes = every.looks(replay, values, (1.0, CLOSER), touches=touches)
+        alike = every.likeness(changes)
         order = np.argsort(-alike, kind="stable")[:GUESSES]
         share = float(alike[order[0]])
         if share >= ALIKE:
-            start = guesses[order][:, replay.columns(index)]
-            out.append(Screened(effect, replay, values, (0.5 * share * size,), share, ((scatter, start),), xi))
+            start = guesses[order][:, replay.columns(len(replay.effects) - 1)]
+            explained = (0.5 * share * every.size,)
+            out.append(Screened(effect, replay, values, explained, share, ((found.fit.scatter, start),), every.xi))
     return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]
+
+
+class _Changes:
+    """What candidates change in windows, by the scatter of a trial, without what the parameters could do themselves.
+
+    Args:
+        fitter: Of the windows.
+        part: The base linearised on them.
+        found: The trial, its effect the last.
+    """
+
+    def __init__(self, fitter: Fitter, part: Fit, found: Trial) -> None:
+        self._fitter, self._scatter, self.xi = fitter, found.fit.scatter, found.fit.xi[: len(part.xi)]
+        self._without = fitter.residuals_at(part.replay, self.xi[None])[0]
+        within = fitter.residuals_at(found.fit.replay, found.fit.xi[None])[0]
+        self._root = np.sqrt(self._scatter.weights(self._scatter.whiten(within)))[..., None]
+        self._span = span_of(part, self._scatter, self._root)
+        self.wanted = self._of(within[None])[0]
+        self.size = max(float(self.wanted @ self.wanted), 1e-300)
+
+    def _of(self, there: Array) -> Array:
+        """Of residuals (K, N, nv, C), (K, n)."""
+        white = (self._scatter.whiten(there - self._without) * self._root).reshape(len(there), -1)
+        rows = np.nan_to_num(white, nan=0.0, posinf=0.0, neginf=0.0)
+        return rows - (rows @ self._span) @ self._span.T
+
+    def looks(self, replay: Replay, values: Array, widths: Sequence[float], *, touches: bool) -> tuple[Array, Array]:
+        """Free parameters (G, D) with an effect's values and others about the best of them, and changes (G, n).
+
+        Args:
+            replay: The effect is its last.
+            values: To begin with (K, P).
+            widths: Shares of the bounds that are looked at, one after the other, as long as there is hope.
+            touches: Whether contacts are there: what friction holds shows nothing of what it does at its size, until
+                it is looked for.
+        """
+        index = len(replay.effects) - 1
+        looks = LOOKS * len(replay.effects[index].quantities)
+        guesses = np.hstack([np.tile(self.xi, (len(values), 1)), values])
+        changes = self._of(self._fitter.residuals_at(replay, guesses))
+        for width in widths:
+            if (width < 1.0 or not touches) and not self.conceivable(changes):
+                break
+            more = all_over(replay, index, guesses[int(self.likeness(changes).argmax())], looks, width)
+            guesses = np.vstack([guesses, more])
+            changes = np.concatenate([changes, self._of(self._fitter.residuals_at(replay, more))])
+        return guesses, changes
+
+    def likeness(self, changes: Array) -> Array:
+        """Share of the squares of what the trial's effect changes that changes (G, n) make, (G,)."""
+        return 1.0 - ((changes - self.wanted) ** 2).sum(1) / self.size
+
+    def conceivable(self, changes: Array) -> bool:
+        """Whether mixtures of changes (G, n) make enough of that for closer looks."""
+        return share_of_mixtures(changes, self.wanted) >= CONCEIVABLE
+
+    def hopeless(self, changes: Array) -> bool:
+        """Whether they make no more than enough and what as many changes (G, n) make of anything by chance."""
+        by_chance = min(len(changes) / changes.shape[1], 0.5)
+        return share_of_mixtures(changes, self.wanted) < CONCEIVABLE + (1.0 - CONCEIVABLE) * by_chance
 
 
 def share_of_mixtures(changes: Array, wanted: Array) -> float:
