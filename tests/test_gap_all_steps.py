@@ -22,7 +22,7 @@ FOUND: Any = SimpleNamespace(effect=DELAY)
 @pytest.mark.parametrize(
     ("left", "again", "found", "longest", "every", "longer"),
     [
-        (1.0, False, [], 1.0, True, True),  # nothing was found: longer windows are asked as well
+        (1.0, False, [], 1.0, True, True),  # nothing was found: the longest are asked as well
         (1.0, False, [FOUND], 1.0, True, False),  # what was found stands
         (1.0, False, [FOUND], 9.0, False, True),  # longer windows show more than noise: they are asked what it is
         (9.0, False, [], 1.0, False, True),  # some single steps show it
@@ -32,13 +32,13 @@ FOUND: Any = SimpleNamespace(effect=DELAY)
     ],
 )
 def test_all_short_windows_are_searched_near_noise(left, again, found, longest, every, longer, monkeypatch):
-    """In windows of one step, then longer ones, each searched once."""
-    recordings = cut_recordings(pushes(0.5, rows=400), 0, 0, 160)
+    """In windows of one step, then longer ones, each searched once; near noise only the longest of these."""
+    recordings = cut_recordings(pushes(0.5, rows=800), 0, 0, 60)
     part = "nfpde.gap.search."
     monkeypatch.setattr(part + "first_fit", lambda *args, **options: ("base", court))
     monkeypatch.setattr(part + "begins_worse", lambda *args: False)
     monkeypatch.setattr(part + "moved_over", lambda base, court, there: ("base", court))
-    monkeypatch.setattr(part + "gaps", lambda *args: np.ones(80))
+    monkeypatch.setattr(part + "gaps", lambda *args: np.ones(60))
     monkeypatch.setattr(part + "alike_halves", lambda *args: None)
     monkeypatch.setattr(part + "best_beginning", lambda selection, base, final, accepted: (final, accepted))
     monkeypatch.setattr(part + "Far", lambda *args: ANYTHING)
@@ -85,7 +85,8 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
     assert found_there.every is every  # then nothing is left to look at once more
     some, all_steps = (brief(recordings, *most) for most in ((), (EVERY,)))
     assert len(some[0].fit) < len(all_steps[0].fit)
-    lengths = (all_steps if every else some)[: None if longer else 1]
+    assert len(some) == 3
+    lengths = (all_steps[::2] if every else some)[: None if longer else 1]
     assert [below for _, below in searched] == [every] + [False] * (len(lengths) - 1)
     assert [(s.horizons, len(s.fit)) for s, _ in searched] == [(s.horizons, len(s.fit)) for s in lengths]
 
