@@ -34,6 +34,9 @@ from nfpde.storage import write_whole
 
 STATE_FILE = "state.safetensors"
 COPY_FILE = "state.json"
+MOST_LINES = 20
+"""Entries that the message of another run names."""
+
 _MISSING = object()
 
 
@@ -75,7 +78,7 @@ def load_state(
 
     Raises:
         BadInput: The file is damaged.
-        CheckpointMismatch: The state was saved by another run; names every entry that differs.
+        CheckpointMismatch: The state was saved by another run; names the entries that differ.
     """
     path = Path(folder) / STATE_FILE
     if not path.exists():
@@ -165,6 +168,9 @@ def _entries(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict) and value:
         for key, inner in value.items():
             yield from _entries(inner, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list) and value:
+        for i, inner in enumerate(value):
+            yield from _entries(inner, f"{name}[{i}]")
     else:
         yield name, value
 
@@ -179,6 +185,8 @@ def _check_run(path: Path, saved: Any, wanted: Any) -> None:
         if before != now:
             texts = ["nothing" if v is _MISSING else f"{json.dumps(v):.100}" for v in (before, now)]
             lines.append(f"  {key or 'run'}: saved {texts[0]}, now {texts[1]}")
+    if len(lines) > MOST_LINES:
+        lines[MOST_LINES:] = [f"  and {len(lines) - MOST_LINES} entries more"]
     raise CheckpointMismatch(
         f"{path} was saved by another run:\n" + "\n".join(lines) + "\n"
         "Use the same settings and data to go on, or another folder to start afresh."

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import numpy as np
 import pytest
@@ -99,6 +100,14 @@ def test_another_run_is_refused_with_both_values(tmp_path):
     assert "seed: saved nothing, now 4" in text
     assert "data" not in text.split("\n", 1)[1].split("Use the same")[0]
     assert "sizes" not in text
+    with pytest.raises(CheckpointMismatch) as error:
+        load_state(tmp_path, {"data": "abc", "settings": {"beta": 0.1, "sizes": [64, 32, 8]}})
+    assert re.findall(r"^  .*", str(error.value), re.MULTILINE) == [
+        "  settings.sizes[1]: saved 64, now 32",
+        "  settings.sizes[2]: saved nothing, now 8",
+    ]
+    with pytest.raises(CheckpointMismatch, match="\n  and 20 entries more\nUse the same"):
+        load_state(tmp_path, {"data": "abc", "settings": {"beta": 0.1, "sizes": list(range(40))}})
     save_state(tmp_path, {}, {"step": 1})
     with pytest.raises(CheckpointMismatch, match=r'data: saved nothing, now "abc"'):
         load_state(tmp_path, RUN)

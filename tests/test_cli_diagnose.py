@@ -5,8 +5,9 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from nfpde.cli import app
+from nfpde.cli import app, diagnose
 from nfpde.dataset import save_dataset
+from tests.command_line import run
 from tests.gap_systems import ARM, record
 
 
@@ -39,3 +40,19 @@ def test_it_says_so_in_plain_words(diagnosed):
     _, result = diagnosed
     assert "joint_spring at elbow" in result.output
     assert "report.html" in result.output
+
+
+def test_a_folder_that_cannot_be_made_is_told_first(diagnosed, monkeypatch):
+    """No minutes of work whose answer has nowhere to go."""
+    folder, _ = diagnosed
+    (folder / "taken").write_text("a file")
+    monkeypatch.setattr(diagnose, "diagnose_gap", lambda *_, **__: pytest.fail("worked first"))
+    status, out, err = run("diagnose", folder / "arm.xml", folder / "data.npz", "--out", folder / "taken")
+    assert (status, out) == (1, "")
+    assert "taken: File exists" in err
+
+
+def test_a_seed_below_zero(diagnosed):
+    """Refused by the command's usage."""
+    folder, _ = diagnosed
+    assert run("diagnose", folder / "arm.xml", folder / "data.npz", "--out", folder / "x", "--seed", "-1")[0] == 2

@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.errors import BadInput, SimulationDiverged
+from nfpde.errors import BadInput, SimulationDiverged, SpaceMismatch
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.rl import Policy, RandomizedParameters, SacConfig, evaluate_policy, load_policy, make_environment
+from nfpde.rl import evaluate as evaluation
 from nfpde.rl.learner import SacLearner, isolated_randomness
 
 SPACE = ParameterSpace([Parameter("body_mass", "pendulum", 0.4, 1.6)])
@@ -148,6 +149,33 @@ def test_evaluation_repeats_under_its_seed():
     assert not np.isin(other.returns, first.returns).any()
     assert first.parameters is not None
     assert len(np.unique(first.parameters)) == 4
+
+
+def test_a_wrapped_environment_keeps_its_space():
+    """Vectors, or a distribution, over the same parameters in another order are no parameters of this environment."""
+    mass, damping = Parameter("body_mass", "pendulum", 0.05, 1.6), Parameter("dof_damping", "hinge", 0.0, 2.0)
+    backwards = ParameterSpace([damping, mass])
+
+    class Backwards:
+        space = backwards
+
+        def sample(self, n: int, seed: int = 0):
+            return np.tile([0.1, 1.2], (n, 1))
+
+    env = RandomizedParameters(make_environment("pendulum"), [[1.0, 0.1]], ParameterSpace([mass, damping]))
+    with pytest.raises(SpaceMismatch):
+        evaluate_policy(lambda o: o[2:], env, [[0.1, 1.2]], space=backwards)
+    with pytest.raises(SpaceMismatch):
+        evaluate_policy(lambda o: o[2:], env, Backwards())
+    found = evaluate_policy(lambda o: o[2:], env, [[1.2, 0.1]], space=env.space, episodes=2)
+    np.testing.assert_array_equal(found.parameters, [[1.2, 0.1]] * 2)
+
+
+def test_an_episode_without_an_end_is_refused(monkeypatch):
+    """A bare environment, which no TimeLimit ends, does not hang: the message says what to do."""
+    monkeypatch.setattr(evaluation, "ENDLESS", 200)
+    with pytest.raises(BadInput, match=r"did not end within 200 control steps.*TimeLimit"):
+        evaluate_policy(lambda o: o[2:], lambda: make_environment("pendulum").unwrapped, [[1.0]], space=SPACE)
 
 
 def test_evaluation_refuses():

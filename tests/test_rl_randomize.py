@@ -18,6 +18,9 @@ from nfpde.sim import MujocoSimulator
 MASS = Parameter("body_mass", "thigh", 2.0, 6.0)
 DAMPING = Parameter("dof_damping", "leg_joint", 0.1, 3.0)
 DELAY = effect("actuation_delay", "*", delay=(0.0, 0.05))
+CLOCK = effect("time_scale", ratio=(0.8, 1.25))
+LAG = effect("actuator_lag", "thigh_joint", time_constant=(0.0, 0.1))
+PLAY = effect("backlash", "leg_joint", width=(0.0, 0.2))
 STRIBECK = effect("stribeck_friction", "thigh_joint", coulomb=(0.0, 2.0), static=(0.0, 4.0), speed=(0.05, 1.0))
 
 
@@ -118,11 +121,13 @@ def hopper(source: Any, space: ParameterSpace | None = None) -> RandomizedParame
     [
         (space_of(MASS, DAMPING), XI[:2]),
         (space_of(MASS, DAMPING, DELAY), XI[:3]),
+        (space_of(CLOCK, DELAY, LAG), np.array([1.2, 0.017, 0.03])),
+        (space_of(PLAY, CLOCK), np.array([0.07, 0.85])),
         (SPACE, XI),
         (space_of(MASS, Push()), np.array([3.0, -1.7])),
         (space_of(DAMPING, Miscalibrated()), np.array([2.0, 0.1])),
     ],
-    ids=["fields", "delay", "delay and Stribeck", "force with memory", "sensor"],
+    ids=["fields", "delay", "clock, delay and lag", "play and clock", "delay and Stribeck", "force", "sensor"],
 )
 def test_live_trajectory_equals_the_simulator(space, xi):
     """Two episodes of 60 commands agree with MujocoSimulator to 1e-10: same engine, same steps, rounding only."""
@@ -244,6 +249,21 @@ def test_release_gives_the_environment_back():
     model: Any = bare.unwrapped.model  # type: ignore[attr-defined]
     np.testing.assert_allclose(model.body_mass[model.body("thigh").id], 4.0577, rtol=1e-4)
     RandomizedParameters(bare, XI, SPACE).reset(seed=0)
+
+
+def test_release_gives_the_solver_back():
+    """Humanoid has its own solver again after release, and after a refusal: its observation holds forces."""
+    bare: Any = gymnasium.make("Humanoid-v5")
+    options = bare.unwrapped.model.opt
+    before = (options.solver, options.disableflags)
+    env = RandomizedParameters(bare, [8.0], ParameterSpace([Parameter("body_mass", "torso", 4.0, 12.0)]))
+    assert (options.solver, options.disableflags) != before
+    env.release()
+    assert (options.solver, options.disableflags) == before
+    with pytest.raises(BadEffect, match="holds more than qpos and qvel"):
+        RandomizedParameters(bare, [0.1], space_of(Miscalibrated()))
+    assert (options.solver, options.disableflags) == before
+    assert "do_simulation" not in vars(bare.unwrapped)
 
 
 def test_sensor_effect_changes_the_observation_only():

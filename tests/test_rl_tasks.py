@@ -7,7 +7,7 @@ import pytest
 
 from nfpde.benchmarks import collect, robot
 from nfpde.benchmarks.pendulum import PAYLOAD_XML, PENDULUM_XML
-from nfpde.errors import BadInput
+from nfpde.errors import BadInput, BadModel
 from nfpde.rl import TASKS, evaluate_policy, make_environment
 from nfpde.sim import MujocoSimulator
 
@@ -102,3 +102,10 @@ def test_another_model_file(tmp_path):
     path.write_text(PENDULUM_XML.read_text().replace('mass="0.6"', 'mass="2"'))
     env = make_environment("pendulum", path)
     assert env.unwrapped.model.body("pendulum").mass[0] == pytest.approx(2.1)  # type: ignore[attr-defined]
+
+
+def test_a_model_that_cannot_be_compiled(tmp_path):
+    """MuJoCo's message, with the file."""
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><bdy/></worldbody></mujoco>")
+    with pytest.raises(BadModel, match=r"broken\.xml: environment 'hopper' cannot be made with it: [^<]*bdy"):
+        make_environment("hopper", tmp_path / "broken.xml")

@@ -126,6 +126,29 @@ def test_ctrl_c_keeps_the_last_round(tmp_path, monkeypatch):
     ]
 
 
+def test_what_is_said_is_kept_is_kept(tmp_path, monkeypatch):
+    """Stopped before anything was saved, or while transitions are written: the message says where it stands."""
+
+    def stop(*_args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SacLearner, "run_round", stop)
+        with pytest.raises(KeyboardInterrupt, match="nothing was saved yet: the same call starts afresh"):
+            train(tmp_path)
+    assert not list(tmp_path.iterdir())
+    train(tmp_path, 160)
+    monkeypatch.setattr(ReplayFiles, "add", stop)
+    with pytest.raises(KeyboardInterrupt, match="holds the state after 160 control steps"):
+        train(tmp_path)
+
+
+def test_large_seeds(tmp_path):
+    """Seeds as large as those of fits are taken; the networks' first weights still depend on them."""
+    first, second = (train(tmp_path / str(s), 160, seed=s) for s in (2**32 + 5, 2**63 - 1))
+    assert any(not np.array_equal(w, second.policy.weights[n]) for n, w in first.policy.weights.items())
+
+
 def test_another_seed_gives_another_policy(whole, tmp_path):
     """The seed matters: nothing above is equal because everything is."""
     other = train(tmp_path, 160, seed=1)
@@ -285,12 +308,20 @@ def test_divergence_is_recorded_and_stops_training(tmp_path, monkeypatch):
         ({"target": [[1.0, np.nan, 0.0]]}, BadParameter, "dof_damping:hinge = nan"),
         ({"target": around(TARGET[0])}, BadInput, "not a distribution"),
         ({"model": "none.xml"}, BadInput, "none.xml: no such file"),
+        ({"device": "gpu"}, BadInput, "device is 'gpu'; networks train on 'cpu'"),
     ],
 )
 def test_bad_arguments(tmp_path, change, error, text):
     """Arguments that cannot be used are refused by message."""
     with pytest.raises(error, match=text):
         train(tmp_path, **change)
+
+
+def test_cuda_is_not_replaced_in_silence(tmp_path, monkeypatch):
+    """Asked for CUDA where there is none, training is refused."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(BadInput, match="device 'cuda': PyTorch finds no CUDA device"):
+        train(tmp_path, device="cuda")
 
 
 def test_poisoned_distribution_is_refused(tmp_path):

@@ -45,7 +45,7 @@ def command(
         typer.Option(min=40, help="windows used of each half, 80 to 160 if not given: more are slower and surer"),
     ] = None,
     device: Annotated[Device, typer.Option(help=DEVICE_HELP)] = "auto",
-    seed: Annotated[int, typer.Option(help="decides which episodes are held out")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="decides which episodes are held out")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
 ) -> None:
     """Diagnose the gap between a model and recordings: where it lies, which effects cause it, how far it shrinks.
@@ -54,8 +54,10 @@ def command(
     """
     space = None if params is None else ParameterSpace.from_toml(params)
     dataset = read_dataset(data, resample)
+    nominal = model_file(model)
+    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
     with _telling(quiet) as tell:
-        found = diagnose_gap(model_file(model), dataset, space, seed=seed, windows=windows, device=device, report=tell)
+        found = diagnose_gap(nominal, dataset, space, seed=seed, windows=windows, device=device, report=tell)
     path = found.save(out)
     page = write_report(found, out)
     for line in found.summary:

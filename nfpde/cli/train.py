@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -26,7 +26,9 @@ def command(
     evaluation_episodes: Annotated[int, typer.Option(help="episodes of an evaluation")] = 20,
     nominal_baseline: Annotated[bool, typer.Option(help="also train on the nominal model, and compare")] = False,
     seed: Annotated[int, typer.Option(help="of everything random")] = 0,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto, for the networks")] = "auto",
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], typer.Option(help="for the networks; auto is CUDA where there is one")
+    ] = "auto",
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
 ) -> None:
     """Train a policy by soft actor-critic on robots drawn anew from a distribution at every reset.

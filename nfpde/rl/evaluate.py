@@ -11,10 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from nfpde.errors import BadInput, SimulationDiverged
 from nfpde.parameters import ParameterSpace
-from nfpde.rl.randomize import Draws, RandomizedParameters
+from nfpde.rl.randomize import Draws, RandomizedParameters, check_source
 from nfpde.rl.tasks import Environment, make_environment
 
 Array = NDArray[np.float64]
+
+ENDLESS = 100_000
+"""Control steps after which an episode counts as one that never ends."""
 
 
 class Predicts(Protocol):
@@ -71,19 +74,22 @@ def evaluate_policy(
             whose source then counts where `source` is None.
         source: parameters of the episodes: a distribution to draw from; or fixed vectors (n, D), the "real" robots,
             taken in turn; None for the nominal model.
-        space: what fixed vectors mean.
+        space: what fixed vectors mean; in an environment under `RandomizedParameters` they are of its space.
         episodes: how many, at least 2.
         seed: of draws and start states.
 
     Raises:
-        BadInput: fewer than 2 episodes, or an environment or source that cannot be used.
+        BadInput: fewer than 2 episodes, an environment or source that cannot be used, or episodes without an end.
+        SpaceMismatch: a space, or a distribution over one, that is not the wrapped environment's.
         SimulationDiverged: an episode blew up, so that it has no return; names its parameters.
     """
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 2:
         raise BadInput(f"episodes is {episodes!r}; it must be a whole number, at least 2 (for a standard error)")
     made = None
     if isinstance(env, RandomizedParameters):
-        wrapped, given = env, env.source if source is None else source
+        if space is not None:
+            space.check_same(env.space)
+        wrapped, given = env, env.source if source is None else check_source(source, env.space)[0]
     else:
         if source is None and space is None:
             raise BadInput("give the parameters' space for an evaluation on the nominal model")
@@ -109,6 +115,11 @@ def _episode(
     observation, info = env.reset(seed=seed, options=options)
     total, length, over = 0.0, 0, False
     while not over:
+        if length == ENDLESS:
+            raise BadInput(
+                f"environment {env.label}: an episode did not end within {ENDLESS} control steps; give it an end, for "
+                "example gymnasium.wrappers.TimeLimit(env, max_episode_steps=1000)"
+            )
         observation, reward, terminated, truncated, step_info = env.step(act(observation))
         if step_info.get("diverged"):
             raise SimulationDiverged(

@@ -107,7 +107,7 @@ class SacLearner:
             gradient_steps=config.gradient_steps,
             ent_coef=config.entropy,
             policy_kwargs={"net_arch": list(config.hidden)},
-            seed=seed,
+            seed=seed % 2**32,  # numpy's generator of old, which Stable-Baselines3 seeds too, takes no more
             device=device,
         )
         self.model.set_logger(Logger(None, []))

@@ -50,16 +50,16 @@ class LivePhysics:
             self._simulator = MujocoSimulator(self.env.model, space, nthread=1, check_influence=False)
         except NfpdeError as error:
             raise type(error)(f"environment {self.label}: {error}") from None
-        nominal = self._simulator.model
-        self.env.model.opt.solver = nominal.opt.solver
-        self.env.model.opt.disableflags = nominal.opt.disableflags
-        self._bound = BoundEffects(self.env.model, self._simulator.effects, self._simulator.writer.nbase)
+        nominal, options = self._simulator.model, self.env.model.opt
+        self._own_options = (options.solver, options.disableflags)
+        options.solver, options.disableflags = nominal.opt.solver, nominal.opt.disableflags
+        # the nominal model, whose timestep is the one in which effects count, whatever `time_scale` makes of it
+        self._bound = BoundEffects(nominal, self._simulator.effects, self._simulator.writer.nbase)
         self._on_sensor = [e for e in self._bound.effects if overrides(e, "to_measured")]
         self._memory_steps = self._simulator.history_steps(nominal.opt.timestep)
         self._effects = self._effects_at(None)
         self._before_step: BeforeStep | None = None
         self._past: Array | None = None
-        self.observations = 0
         self._install()
 
     @property
@@ -87,11 +87,15 @@ class LivePhysics:
         self._past = None
         state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"))
         fields = {f: np.array(get_field(model, f))[None] for f in self._bound.step_fields}
-        self._before_step = self._effects.before_step(World(model, *state, fields=fields))
+        self._before_step = self._effects.before_step(World(self.nominal_model, *state, fields=fields))
 
     def release(self) -> None:
-        """Give the environment its own methods back and its model the nominal parameters."""
+        """Give the environment its own methods back, and its model the nominal parameters and its own solver."""
         self.write(None)
+        self._uninstall()
+
+    def _uninstall(self) -> None:
+        self.env.model.opt.solver, self.env.model.opt.disableflags = self._own_options
         for name in ("do_simulation", "_get_obs"):
             vars(self.env).pop(name, None)
 
@@ -146,7 +150,6 @@ class LivePhysics:
 
     def _observe(self) -> Any:
         """The environment's observation, computed from the measured state."""
-        self.observations += 1
         data, nq = self.env.data, self.env.model.nq
         true = np.concatenate([data.qpos, data.qvel])
         measured = self._effects.to_measured(true[None, None])[0, 0]
@@ -188,7 +191,7 @@ class LivePhysics:
 
     def _refuse(self, reason: str) -> None:
         names = ", ".join(sorted({e.name for e in self._bound.effects}))
-        vars(self.env).pop("do_simulation", None)
+        self._uninstall()
         raise BadEffect(f"environment {self.label}: {reason}. Effects of the space: {names}")
 
 

@@ -117,7 +117,7 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._physics.nominal_model
 
     def release(self) -> None:
-        """Leave the wrapped environment as it was before: its own physics and nominal parameters."""
+        """Leave the wrapped environment as it was before: its own physics and solver, nominal parameters."""
         self._physics.release()
 
     def _draw(self) -> Array | None:

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 
 from nfpde.benchmarks import PAYLOAD_ID, PENDULUM_ID
-from nfpde.errors import BadInput
+from nfpde.errors import BadInput, BadModel
 from nfpde.sim.quiet import quiet_mujoco
 
 TASKS = {
@@ -34,6 +34,7 @@ def make_environment(name: Environment, model: str | Path | None = None) -> gymn
 
     Raises:
         BadInput: no such environment, or one that takes no `xml_file`.
+        BadModel: MuJoCo cannot compile the file.
     """
     if not isinstance(name, str):
         if model is not None:
@@ -50,5 +51,9 @@ def make_environment(name: Environment, model: str | Path | None = None) -> gymn
             f"environment {name!r}: {error} Known short names: {', '.join(TASKS)}; any Gymnasium id of a MuJoCo "
             "environment works too, as module:Id-v0 where a module must be imported first"
         ) from None
+    except ValueError as error:
+        if model is None:
+            raise
+        raise BadModel(f"{model}: environment {name!r} cannot be made with it: {error}") from None
     except TypeError as error:
         raise BadInput(f"environment {name!r} cannot be made with {arguments}: {error}") from None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
+import torch
 from numpy.typing import ArrayLike
 
 from nfpde.errors import BadInput
@@ -36,7 +38,7 @@ def train_sac(
     hyperparameters: SacConfig | None = None,
     nominal_baseline: bool = False,
     model: Path | str | None = None,
-    device: str = "auto",
+    device: Literal["auto", "cpu", "cuda"] = "auto",
     threads: int = 1,
     quiet: bool = False,
 ) -> TrainResult:
@@ -100,6 +102,7 @@ def train_sac(
     ):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise BadInput(f"{name} is {value!r}; it must be a whole number, at least {least}")
+    _check_device(device)
     config = hyperparameters
     if config is None:
         config = PRESETS.get(TASKS.get(env, env), SacConfig()) if isinstance(env, str) else SacConfig()
@@ -128,3 +131,10 @@ def train_sac(
         write_json(result)
     plot_returns(result, out / "returns.png")
     return result
+
+
+def _check_device(device: str) -> None:
+    if device not in ("auto", "cpu", "cuda"):
+        raise BadInput(f"device is {device!r}; networks train on 'cpu', 'cuda' or 'auto' (CUDA if there is one)")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise BadInput("device 'cuda': PyTorch finds no CUDA device; use device='cpu', or 'auto'")

@@ -67,6 +67,7 @@ class Training:
         self.replay = ReplayFiles(out / "replay")
         self.points: list[Point] = []
         self.seconds = 0.0
+        self.saved: int | None = None  # control steps of the state on disk
 
     def run(self) -> TrainResult:
         """Train up to the job's number of steps.
@@ -83,10 +84,7 @@ class Training:
                     while self.learner.steps < self.job.steps:
                         self._round(report, started)
                 except KeyboardInterrupt:
-                    raise KeyboardInterrupt(
-                        f"training stopped; {self.out} holds the state after {self.points[-1].step} control steps, "
-                        "from which the same call goes on"
-                    ) from None
+                    raise KeyboardInterrupt(f"training stopped; {self._kept()}") from None
             self.policy.save(self.out)
             result = self._result()
             write_json(result)
@@ -130,6 +128,7 @@ class Training:
                 f"{job.steps} asked for"
             )
         self.seconds = info["seconds"]
+        self.saved = self.points[-1].step
         self.learner.restore(info["learner"], tensors, self.replay)
         self.policy = self.learner.policy(self.label)
 
@@ -146,8 +145,7 @@ class Training:
         if diverged > MOST_DIVERGED * max(len(returns), 10):
             raise SimulationDiverged(
                 f"the simulation diverged in {diverged} of the {len(returns)} episodes up to control step "
-                f"{learner.steps}: use a smaller timestep in the model, or tighter bounds. {self.out} holds the state "
-                "before"
+                f"{learner.steps}: use a smaller timestep in the model, or tighter bounds; {self._kept()}"
             )
         self.policy = learner.policy(self.label)
         self.points.append(self._judge(returns, diverged))
@@ -158,9 +156,16 @@ class Training:
         save_state(
             self.out, tensors, {"run": self.identity, "learner": layout, "points": points, "seconds": self.seconds}
         )
+        self.saved = learner.steps
         self.replay.clean(learner.buffer.buffer_size, learner.steps)
         self.policy.save(self.out)
         write_json(self._result())
+
+    def _kept(self) -> str:
+        """What a training that stops leaves behind."""
+        if self.saved is None:
+            return "nothing was saved yet: the same call starts afresh"
+        return f"{self.out} holds the state after {self.saved} control steps, from which the same call goes on"
 
     def _judge(self, returns: list[float], diverged: int) -> Point:
         """Evaluate the policy where it trains and in the target."""
