@@ -134,6 +134,22 @@ def test_both_kinds_of_errors_are_told_apart(sensor, size):
     assert found.degrees >= 50
 
 
+def test_many_robots_use_up_no_more_freedom_than_they_have():
+    """Of 600 robots with six parameters each some of the windows tell the variance, and what all lose counts there.
+
+    Residuals of a fit that took 3600 of 24 000 degrees of freedom scatter by 0.85 of the variance, which is 1.
+    """
+    rng = np.random.default_rng(8)
+    n, fitted = 12_000, 3600
+    r = np.sqrt(1 - fitted / (2 * n)) * rng.normal(size=(n, 2))
+    floor = np.full(2, 1e-9)
+    chains = Chains.of(np.arange(n) % 20 > 0)
+    found = learn_shared(learn_alike([r], fitted, floor), r, np.zeros((n, 2, 2)), chains, fitted, (np.zeros(2), floor))
+    total = found.scatter.scale * (found.scatter.sensor + np.diag(found.scatter.process))
+    # 3000 windows tell a variance to 2.6 %
+    np.testing.assert_allclose(total, 1.0, atol=0.1)
+
+
 def test_outliers_end_up_in_the_tails():
     """A tenth of wild windows lowers the degrees of freedom and tells the next windows little; the errors stay."""
     rng = np.random.default_rng(7)

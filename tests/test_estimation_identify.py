@@ -11,6 +11,7 @@ from nfpde.estimation import tell
 from nfpde.estimation.trajectory.advice import _Worth
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge, describe_knowledge
 from nfpde.estimation.trajectory.information import inverse
+from nfpde.estimation.trajectory.modes import LocalPosterior
 
 torch.set_num_threads(1)
 DT = 0.1
@@ -34,13 +35,39 @@ def episodes_of(step, xi, rng, noise, rows=30, states=1, push=1.0, count=3):
     return nfpde.Dataset(found)
 
 
+def posterior(weights, means, fisher):
+    """A robot's modes; the covariances in z are not looked at."""
+    means, fisher = np.asarray(means, float), np.asarray(fisher, float)
+    return LocalPosterior(np.asarray(weights), means, np.full(fisher.shape, np.nan), fisher)
+
+
+def test_two_modes_are_two_values():
+    """Values and weights of both; the error is that of the mixture, and each value's own is in the words.
+
+    Modes at xi = -2 and 2, each known to 0.01, by hand: the mixture's variance is 0.25 x 4 x 4 + 0.01^2.
+    """
+    space = nfpde.ParameterSpace([nfpde.Parameter("speed", low=-4.0, high=4.0, unit="m")])
+    z = space.to_unconstrained([[-2.0], [2.0]])
+    slope = 8.0 * np.exp(-z) / (1 + np.exp(-z)) ** 2
+    both = Knowledge.of(space, posterior([0.5, 0.5], z, (slope**2 / 0.01**2)[:, :, None]))
+    np.testing.assert_allclose(both.std, np.sqrt(4.0 + 0.01**2), rtol=1e-6)
+    np.testing.assert_allclose(both.value, [-2.0])
+    assert both.words(0) == "-2 or 2, each known to 0.01 m"
+    rare = Knowledge.of(space, posterior([0.99, 0.01], z, (slope**2 / 0.01**2)[:, :, None]))
+    np.testing.assert_allclose(rare.std, 0.01, rtol=1e-4)
+    assert rare.words(0) == "known to 0.01 m"
+    # in the middle d xi / d z is 2; with the bounds' own 2.3 the error is 1 / root(1 / 0.5^2 + 1 / 2.3^2)
+    close = Knowledge.of(space, posterior([0.6, 0.4], z / 100, np.full((2, 1, 1), 2.0**2 / 0.5**2)))
+    assert close.words(0) == "known to 0.49 m"
+
+
 def test_knowledge_is_information_and_bounds_together():
     """Covariance in physical units: the inverse of Fisher information plus that of a uniform prior."""
     space = nfpde.ParameterSpace([nfpde.Parameter("a", low=0.0, high=2.0), nfpde.Parameter("b", low=-1.0, high=4.0)])
     z = np.array([0.3, -0.8])
     slope = space.width * (np.exp(-z) / (1 + np.exp(-z)) ** 2)
     physical = np.array([[40.0, 5.0], [5.0, 3.0]])
-    found = Knowledge.of(space, z, physical * np.outer(slope, slope))
+    found = Knowledge.of(space, posterior([1.0], [z], [physical * np.outer(slope, slope)]))
     expected = np.linalg.inv(physical + np.diag(1 / (UNIFORM_STD * space.width) ** 2))
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
     np.testing.assert_allclose(found.value, space.to_physical(z))
@@ -49,7 +76,7 @@ def test_knowledge_is_information_and_bounds_together():
 def test_without_information_only_the_bounds_are_left():
     """Standard errors are those of a uniform distribution, and nothing counts as told."""
     space = space_of("a", "b")
-    found = Knowledge.of(space, np.zeros(2), np.zeros((2, 2)))
+    found = Knowledge.of(space, posterior([1.0], np.zeros((1, 2)), np.zeros((1, 2, 2))))
     np.testing.assert_allclose(found.std, 8 / np.sqrt(12))
     assert not found.told.any()
     assert found.words(0) == "not told by these recordings"
@@ -106,8 +133,10 @@ def test_three_that_only_act_together():
 def test_robots_that_tell_and_robots_that_do_not_are_counted():
     """The words say how many robots tell a parameter."""
     space = space_of("a", "b")
-    knows = Knowledge(space, np.array([4.0, 5.0]), np.diag([0.04, 0.0025]))
-    blind = Knowledge(space, np.array([4.0, 5.0]), np.diag([5.3, 0.0025]))
+    value = np.array([4.0, 5.0])
+    knows, blind = (
+        Knowledge(space, value, np.diag(v), value[None], np.sqrt([v])) for v in ([0.04, 0.0025], [5.3, 0.0025])
+    )
     found = describe_knowledge([knows, knows, blind])["parameters"]
     assert found["a"]["words"] == "known to 5 % in 2 of 3 robots, not told by the recordings of the others"
     assert found["b"]["words"] == "known to 1 %"

@@ -86,7 +86,7 @@ def test_clean_recordings_of_a_sum_do_not_tell_its_parts():
     """Two masses that act as one, recorded without noise: a known sum leaves each the prior's error over root two."""
     space = nfpde.ParameterSpace([nfpde.Parameter("body_mass", n, low=1.0, high=3.0) for n in ("a", "b")])
     fisher = without_rounding(told([3e9, 3e9]) * (1 + 1e-15))
-    known = Knowledge.of(space, np.zeros(2), fisher)
+    known = Knowledge.of(space, LocalPosterior(np.ones(1), np.zeros((1, 2)), np.zeros((1, 2, 2)), fisher[None]))
     np.testing.assert_allclose(known.std, 2 / np.sqrt(12) / np.sqrt(2), rtol=1e-6)
     assert known.pairs()[0]["correlation"] < -0.999
     assert "known to" in known.pairs()[0]["words"]

@@ -115,8 +115,8 @@ def test_a_simulator_that_always_diverges_is_refused():
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_moments_that_always_diverge(whole):
-    """One such moment takes no part and does no harm; a robot of nothing else is an error that names it."""
+def test_moments_that_always_diverge(whole, tmp_path):
+    """One such moment takes no part and does no harm, nor to what is saved; a robot of nothing else is an error."""
     rng = np.random.default_rng(20)
     good, bad = drifting("good", (1.0, 0.5), rng, 20), drifting("bad", (2.0, -0.5), rng, 20)
     cursed = bad.qpos if whole else bad.qpos[4:5]
@@ -128,9 +128,9 @@ def test_moments_that_always_diverge(whole):
     dataset = nfpde.Dataset([replace(good, qpos=good.qpos + 0.25), bad])
     if whole:
         with pytest.raises(nfpde.NfpdeError, match="every simulation of the recordings of episode bad diverged"):
-            nfpde.fit(simulator, dataset, quiet=True)
+            nfpde.fit(simulator, dataset, out=tmp_path, quiet=True)
     else:
-        robots = nfpde.fit(simulator, dataset, quiet=True).info["robots"]
+        robots = nfpde.fit(simulator, dataset, out=tmp_path, quiet=True).info["robots"]
         assert robots[1]["diverged"] == 1
         assert robots[0]["diverged"] == 0
         assert robots[1]["parameters"]["gain"]["value"] == pytest.approx(2.0, abs=1e-4)

@@ -43,17 +43,22 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    """The report of a fit of four robots, read."""
+def fitted(drift):
+    """A fit of four robots that lose `drift` a second."""
     rng = np.random.default_rng(0)
     episodes = []
     for i in range(4):
         u = rng.normal(size=(30, 1))
-        x = np.concatenate([[[0.0]], np.cumsum(DT * ((1 + 0.3 * i) * u[:-1] - 4.95), axis=0)])
+        x = np.concatenate([[[0.0]], np.cumsum(DT * ((1 + 0.3 * i) * u[:-1] - drift), axis=0)])
         x += 0.001 * rng.normal(size=x.shape)
         episodes.append(nfpde.Episode(f"robot <{i}>", DT * np.arange(30), x, np.empty((30, 0)), u))
-    result = nfpde.fit(nfpde.CallableSimulator(step, SPACE, ["x"]), nfpde.Dataset(episodes), quiet=True)
+    return nfpde.fit(nfpde.CallableSimulator(step, SPACE, ["x"]), nfpde.Dataset(episodes), quiet=True)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The report of a fit of four robots, read: their drift lies below its bounds."""
+    result = fitted(5.3)
     folder = tmp_path_factory.mktemp("report")
     files = write_report(result, folder)
     assert {p.name for p in files} == {"report.html", "report.png"}
@@ -98,6 +103,13 @@ def test_holds_what_the_fit_found(report):
         assert f"{row['before']:.3g}" in text
         assert f"{row['after']:.3g}" in text
     assert f"{info['population']['held_out']:.2f}" in text
+
+
+def test_a_value_near_its_bound_does_not_lean_on_it(report):
+    """At -4.95 with an error of 0.001 the bound of -5 cuts nothing off; what lies beyond it does lean."""
+    beside = fitted(4.95).info["robots"]
+    assert [r["parameters"][NAMES[1]]["leans_on"] for r in beside] == [None] * 4
+    assert [r["parameters"][NAMES[1]]["leans_on"] for r in report[0].info["robots"]] == ["low"] * 4
 
 
 def test_picture(report):

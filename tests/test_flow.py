@@ -9,7 +9,7 @@ import scipy.stats
 import torch
 
 from nfpde.errors import BadInput
-from nfpde.flow import INITIAL_SCALE, Box, Density, GaussianMixture, build_flow, make_density
+from nfpde.flow import INITIAL_SCALE, Density, GaussianMixture, build_flow, make_density
 from nfpde.parameters import Parameter, ParameterSpace
 
 torch.set_num_threads(1)  # the tensors are small: more threads only wait for each other
@@ -46,52 +46,6 @@ def make(kind, features, seed=0) -> Any:
         for p in flow.parameters():
             p.add_(0.1 * torch.randn(p.shape, generator=g, dtype=torch.float64))
     return flow
-
-
-# --- box
-
-
-def test_box_agrees_with_the_parameter_space():
-    """The same xi, z and log determinant as the NumPy maps, out to |z| = 40."""
-    box = Box(SPACE)
-    z = np.linspace(-40, 40, 161)[:, None].repeat(2, 1)
-    xi = SPACE.to_physical(z)
-    # both round the same few operations: some units in the last place
-    np.testing.assert_allclose(box.to_physical(torch.tensor(z)).numpy(), xi, rtol=1e-14, atol=1e-19)
-    np.testing.assert_allclose(box.log_det_jacobian(torch.tensor(z)).numpy(), SPACE.log_det_jacobian(z), rtol=1e-14)
-    inside = np.abs(z[:, 0]) < 30
-    np.testing.assert_allclose(
-        box.to_unconstrained(torch.tensor(xi[inside])).numpy(), SPACE.to_unconstrained(xi[inside]), rtol=1e-12
-    )
-
-
-def test_box_log_determinant_is_the_one_of_its_derivative():
-    """Autograd through the map gives the same logarithm, also where the slope is 1e-17."""
-    z = torch.tensor([[-40.0, 40.0], [-7.0, 3.0], [0.0, 0.5]], dtype=torch.float64, requires_grad=True)
-    box = Box(SPACE)
-    (slope,) = torch.autograd.grad(box.to_physical(z).sum(), z)
-    torch.testing.assert_close(slope.log().sum(-1), box.log_det_jacobian(z), rtol=1e-12, atol=1e-12)
-
-
-def test_box_inverts_itself():
-    """Each z comes back; near a bound xi holds only so many digits of the distance: eps |high| / distance."""
-    z = torch.linspace(-12, 12, 49, dtype=torch.float64)[:, None].expand(-1, 2)
-    box = Box(SPACE)
-    back = box.to_unconstrained(box.to_physical(z))
-    digits = 2.2e-16 * 8 * torch.exp(z.abs())
-    assert bool(((back - z).abs() <= digits + 1e-15).all())
-
-
-def test_box_stays_finite_far_out():
-    """At |z| = 40 and beyond, values stay inside the closed box and the log determinant stays finite."""
-    z = torch.tensor([[-745.0, 745.0], [-40.0, 40.0]], dtype=torch.float64, requires_grad=True)
-    box = Box(SPACE)
-    xi = box.to_physical(z)
-    assert bool(((xi >= box.low) & (xi <= box.high)).all())
-    # log slope is log(width) - |z| there, to rounding
-    expected = torch.log(box.high - box.low).sum() - z.abs().sum(-1)
-    torch.testing.assert_close(box.log_det_jacobian(z), expected, rtol=1e-14, atol=0)
-    assert bool(torch.isfinite(torch.autograd.grad(box.log_det_jacobian(z).sum(), z)[0]).all())
 
 
 # --- densities
@@ -226,7 +180,7 @@ def test_flow_learns_two_peaks(kind, features):
     )
     z, test = target.sample(1000, seeded(0)), target.sample(2000, seeded(1))
     flow = build_flow(features, kind, seed=0)
-    flow.standardise(z)
+    flow.start_at(z.mean(0), torch.atleast_2d(torch.cov(z.T)))
     optimizer = torch.optim.Adam(flow.parameters(), lr=1e-2)
     for _ in range(100):
         optimizer.zero_grad()
@@ -237,17 +191,6 @@ def test_flow_learns_two_peaks(kind, features):
         best, got, plain = (float(d.log_prob(test).mean()) for d in (target, flow, gaussian))
     assert got > plain + 0.5 * (best - plain)
     assert got < best + 0.05  # 2000 test points: the mean's standard error is about 0.02
-
-
-def test_standardise_takes_the_weighted_moments():
-    """The flow's loc and scale become the mean and standard deviation; constant features are refused."""
-    z = torch.tensor([[0.0, 1.0], [2.0, 5.0], [100.0, 100.0]], dtype=torch.float64)
-    flow = build_flow(2)
-    flow.standardise(z, torch.tensor([3.0, 3.0, 0.0]))
-    torch.testing.assert_close(flow.loc.detach(), torch.tensor([1.0, 3.0], dtype=torch.float64))
-    torch.testing.assert_close(flow.log_scale.exp().detach(), torch.tensor([1.0, 2.0], dtype=torch.float64))
-    with pytest.raises(BadInput, match="vary in every feature"):
-        flow.standardise(torch.ones(4, 2, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("sheared", [True, False])

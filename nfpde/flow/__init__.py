@@ -1,7 +1,6 @@
-"""Densities over the unconstrained parameters z, and the box that turns z into physical parameters."""
+"""Densities over the unconstrained parameters z."""
 
 from nfpde.flow.adam import Adam as Adam
-from nfpde.flow.box import Box as Box
 from nfpde.flow.density import Density as Density
 from nfpde.flow.factory import make_density as make_density
 from nfpde.flow.mixture import GaussianMixture as GaussianMixture

@@ -90,26 +90,6 @@ class Flow(nn.Module):
         return self.rsample(n, generator)
 
     @torch.no_grad()
-    def standardise(self, z: Tensor, weights: Tensor | None = None) -> None:
-        """Set `loc` and `scale` to the mean and standard deviation of z (n, D), so that training starts there.
-
-        Args:
-            z: Points, n >= 2, that vary in every feature.
-            weights: Non-negative weights (n,) of any sum; None weighs all the same.
-        """
-        w = torch.full((len(z),), 1.0, dtype=z.dtype, device=z.device) if weights is None else weights
-        w = (w / w.sum())[:, None]
-        mean = (w * z).sum(0)
-        std = (w * (z - mean) ** 2).sum(0).sqrt()
-        if not bool(torch.isfinite(mean).all() and torch.isfinite(std).all() and (std > 0).all()):
-            raise BadInput(
-                "standardise needs finite points that vary in every feature, got means "
-                f"{mean.tolist()} and standard deviations {std.tolist()}"
-            )
-        self.loc.copy_(mean)
-        self.log_scale.copy_(std.log())
-
-    @torch.no_grad()
     def start_at(self, mean: Tensor, covariance: Tensor) -> None:
         """Set `loc`, `scale` and `shear` to those of a Gaussian, so that training starts there.
 

@@ -148,8 +148,8 @@ def _errors(info: dict[str, Any]) -> str:
     note = (
         '<p class="note">Root mean square, in the recorded units, one window ahead. Before: every parameter in the '
         "middle of its bounds. What is left is put down to errors of the measured states, which a window's start hands "
-        "on to its end, and to what the simulation lacks; both columns are standard deviations. Tails: Student's t "
-        f"with {info['noise_degrees']:g} degrees of freedom.</p>"
+        "on to its end, and to what the simulation lacks; both columns are standard deviations, tails included. Tails: "
+        f"Student's t with {info['noise_degrees']:g} degrees of freedom.</p>"
     )
     return f"<details><summary>Numbers</summary>{_table(['channel', *columns], rows)}</details>{note}"
 

@@ -22,7 +22,10 @@ Array = NDArray[np.float64]
 SAMPLES = 4000
 
 AT_BOUND = 0.02
-"""A mode closer to a bound than this share of the width, with mass piling up there, leans on it."""
+"""A value closer to a bound than this share of the width may lean on it: what the bound cuts off would be small."""
+
+PILED_UP = 3.0
+"""Standard deviations from a bound within which the bound, and not the recordings, ends a posterior."""
 
 
 def describe_robots(
@@ -48,7 +51,7 @@ def describe_robots(
     rows = []
     found = zip(problem.names, together.posteriors, robots, values, strict=True)
     for g, (name, p, final, value) in enumerate(found):
-        knowledge = Knowledge.of(space, p.means[0], p.fisher[0])
+        knowledge = Knowledge.of(space, p)
         rows.append(
             {
                 "robot": name,
@@ -97,6 +100,8 @@ def _parameters(
         std, prior = float(xi[:, i].std()), UNIFORM_STD * float(space.width[i])
         share = (best[i] - parameter.low) / (parameter.high - parameter.low)
         leans = "low" if share < AT_BOUND else "high" if share > 1 - AT_BOUND else None
+        if min(best[i] - parameter.low, parameter.high - best[i]) > PILED_UP * std:
+            leans = None
         table[parameter.name] = {
             "value": float(best[i]),
             "std": std,

@@ -17,7 +17,7 @@ from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.borrowing import anything_new, borrowed_from, standing_out
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
-from nfpde.estimation.trajectory.modes import LocalPosterior, distinct, local_posteriors
+from nfpde.estimation.trajectory.modes import LocalPosterior, determined, distinct, local_posteriors
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.scatter import learn_alike, learn_shared
@@ -87,7 +87,7 @@ class TrajectoryEstimator:
         self.iteration += 1
         best, c = self._best(), self._found()
         figures = {
-            "loss": float(np.mean([np.mean(c.residuals[k] ** 2) for k in best])),
+            "loss": _mean_square([c.residuals[k] for k in best]),
             "noise": float(np.exp(self.noise.log_scale)),
             "degrees": self.noise.scatter.degrees,
             "modes": len(c.robot) / self.robots,
@@ -137,7 +137,7 @@ class TrajectoryEstimator:
                     f"every simulation of the recordings of {self.problem.names[g]} diverged: leave it out, or check "
                     "its states (units, order of columns)"
                 )
-        if not self.settled:  # then they have been linearised last of all, see `_settle` and `restore`
+        if not self.settled:  # then they have been linearised last of all, see `_settle`
             linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         return local_posteriors(c, self.robots)
 
@@ -179,7 +179,7 @@ class TrajectoryEstimator:
 
     def _learn_noise(self) -> None:
         c, p, best = self._found(), self.measured, self._best()
-        fitted, z = self.robots * len(p.simulator.space), c.z[best]
+        fitted, z = determined(c.take(best)), c.z[best]
         residuals = np.concatenate([c.residuals[k] for k in best])
         start = self.noise.scatter
         if self.slopes is None:
@@ -218,6 +218,7 @@ class TrajectoryEstimator:
             saved |= vars(self.linear)
         if c is not None:
             saved |= {"robot": c.robot, "z": c.z, "damping": c.damping, "places": self.places}
+            saved |= {"information": c.information, "data_information": c.data_information}
         tensors, layout = flatten_state("trajectory", saved)
         info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
         info |= {name: getattr(self, name) for name in ("learned", "settled", "borrowing_pays")}
@@ -234,6 +235,14 @@ class TrajectoryEstimator:
             self._linearise(Linear(*(saved[f.name] for f in fields(Linear))), scatter)
         if "z" in saved:
             c = start(self.problem, saved["z"], saved["robot"], self.noise)
-            c.damping = saved["damping"]
-            linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+            # the width of the next differences depends on the information, where they are in single precision
+            c.damping, c.information, c.data_information = (
+                saved[name] for name in ("damping", "information", "data_information")
+            )
             self.candidates, self.places = c, saved["places"]
+
+
+def _mean_square(residuals: list[Array]) -> float:
+    """Of the windows that did not diverge, every robot counted the same."""
+    sound = [r[np.isfinite(r).all(1)] for r in residuals]
+    return float(np.mean([np.mean(r**2) for r in sound if len(r)]))

@@ -46,7 +46,7 @@ def fit_trajectory(
         raise RuntimeError("a finished fit has both stages")
     space = problem.simulator.space
     robots = together.robot_posteriors()
-    knowledge = [Knowledge.of(space, p.means[0], p.fisher[0]) for p in together.posteriors]
+    knowledge = [Knowledge.of(space, p) for p in together.posteriors]
     steps = problem.simulator.simulated_steps
     best, scatter = np.array([p.means[0] for p in together.posteriors]), estimator.alone.noise.scatter
     values = together.values(robots)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from nfpde.estimation.trajectory.information import inverse
+from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
@@ -24,6 +25,12 @@ TOLD = 0.8
 TIED = 0.9
 """Correlation from which two parameters are named together: a third of their marginal errors or less is left."""
 
+LIKELY = 0.05
+"""Weight from which a mode is one that the recordings may mean: what a 90 % interval has to hold."""
+
+TWO = 3.0
+"""Standard errors between the values of two modes from which they are two values, not one that is known less well."""
+
 SIMPLE = 0.25
 """How far a coefficient may be from 1 to be left out of the words."""
 
@@ -33,22 +40,33 @@ class Knowledge:
     """What one robot's recordings say of its parameters, the bounds included.
 
     value: best parameters, physical units                                 (D,)
-    covariance: of the parameters, physical units                          (D, D)
+    covariance: of the parameters, over all likely modes, physical units   (D, D)
+    values: of every likely mode, the best first, physical units           (K, D)
+    errors: standard errors of the parameters in each of them              (K, D)
     """
 
     space: ParameterSpace
     value: Array
     covariance: Array
+    values: Array
+    errors: Array
 
     @classmethod
-    def of(cls, space: ParameterSpace, z: Array, fisher: Array) -> Knowledge:
-        """From the information (D, D) about z at a mode z (D,)."""
-        share = expit(z)
+    def of(cls, space: ParameterSpace, posterior: LocalPosterior) -> Knowledge:
+        """From a robot's modes and the information about z at each of them."""
+        likely = posterior.weights >= LIKELY
+        likely[0] = True
+        weights = posterior.weights[likely] / posterior.weights[likely].sum()
+        share = expit(posterior.means[likely])
         # in widths of the bounds, so that all parameters have the same prior
         slope = np.maximum(share * (1 - share), 1e-12)
-        information = fisher / np.outer(slope, slope) + np.eye(len(z)) / UNIFORM_STD**2
-        width = space.width
-        return cls(space, space.to_physical(z), inverse(information) * np.outer(width, width))
+        prior = np.eye(len(space)) / UNIFORM_STD**2
+        own = inverse(posterior.fisher[likely] / (slope[:, :, None] * slope[:, None]) + prior)
+        values = space.to_physical(posterior.means[likely])
+        off = (values - weights @ values) / space.width
+        total = np.einsum("k,kij->ij", weights, own + off[:, :, None] * off[:, None])
+        errors = np.sqrt(np.einsum("kii->ki", own)) * space.width
+        return cls(space, values[0], total * np.outer(space.width, space.width), values, errors)
 
     @property
     def std(self) -> Array:
@@ -67,9 +85,24 @@ class Knowledge:
 
     def words(self, i: int) -> str:
         """How well parameter i is known by itself."""
+        several = self._several(i)
+        if several:
+            return several
         if not self.told[i]:
             return "not told by these recordings"
         return f"known to {_precision(self.space, i, self.value[i], self.std[i])}"
+
+    def _several(self, i: int) -> str:
+        """The values of parameter i that the recordings leave, where these are several, each of them told; else ""."""
+        order = np.argsort(self.values[:, i], kind="stable")
+        values, errors = self.values[order, i], self.errors[order, i]
+        apart = np.diff(values) > TWO * np.hypot(errors[1:], errors[:-1])
+        if not apart.any() or (errors >= TOLD * UNIFORM_STD * self.space.width[i]).any():
+            return ""
+        groups = np.split(np.arange(len(values)), np.flatnonzero(apart) + 1)
+        shown = " or ".join(f"{values[g].mean():.3g}" for g in groups)
+        worst = int(errors.argmax())
+        return f"{shown}, each known to {_precision(self.space, i, values[worst], errors[worst])}"
 
     def pairs(self) -> list[dict[str, Any]]:
         """Pairs of which a combination is known much better than either: its words and how much better."""

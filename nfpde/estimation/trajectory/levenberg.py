@@ -44,7 +44,7 @@ class Candidates:
     cost: twice the negative log posterior, up to a constant; inf: given up, as another one is there    (K,)
     residuals: of their robot's windows, not white                         K arrays (n, C)
     information: Gauss-Newton matrix of cost / 2, prior included           (K, D, D)
-    data_information: the same without the prior                           (K, D, D)
+    data_information: Fisher's of the recordings alone: less where tails are heavy   (K, D, D)
     """
 
     robot: Index
@@ -197,8 +197,9 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
         sound = np.isfinite(columns).all(1) & np.isfinite(white)
         columns, white = columns[sound], white[sound]
         share = expit(c.z[k])
-        c.data_information[k] = columns.T @ columns
-        c.information[k] = c.data_information[k] + np.diag(2 * share * (1 - share))
+        squares = columns.T @ columns
+        c.data_information[k] = noise.scatter.told * squares
+        c.information[k] = squares + np.diag(2 * share * (1 - share))
         gradient[i] = columns.T @ white + 2 * share - 1
     return gradient
 

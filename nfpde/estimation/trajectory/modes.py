@@ -32,6 +32,23 @@ def distinct(c: Candidates) -> Candidates:
     return c.take(np.array(keep))
 
 
+def determined(c: Candidates) -> float:
+    """How many parameters the recordings determine at the candidates, in all: the degrees of freedom they use up.
+
+    The trace of what the recordings tell over that and the prior (Hastie, Tibshirani, Friedman, The Elements of
+    Statistical Learning, Eq. 3.50): a parameter that the prior alone holds uses none.
+    """
+    priors = prior_information(c.z)
+    left = inverse(np.stack([without_rounding(f) for f in c.data_information]) + priors)
+    return float(c.z.size - np.einsum("kii,kii->", priors, left))
+
+
+def prior_information(z: Array) -> Array:
+    """Curvature of the negative log of the logistic prior at z, (K, D) to (K, D, D)."""
+    share = expit(z)
+    return np.eye(z.shape[1]) * (2 * share * (1 - share))[:, :, None]
+
+
 @dataclass(frozen=True, eq=False)
 class LocalPosterior:
     """One robot's posterior in z: a mixture of Gaussians, one around every mode (Laplace's approximation).
@@ -55,9 +72,7 @@ def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
         own = np.flatnonzero(c.robot == g)
         own = own[np.argsort(c.cost[own], kind="stable")]
         fisher = np.stack([without_rounding(f) for f in c.data_information[own]])
-        share = expit(c.z[own])
-        prior = np.eye(share.shape[1]) * (2 * share * (1 - share))[:, None]
-        covariances = inverse(fisher + prior)
+        covariances = inverse(fisher + prior_information(c.z[own]))
         evidence = -0.5 * c.cost[own] + 0.5 * np.linalg.slogdet(covariances)[1]
         weights = np.exp(evidence - evidence.max())
         result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, fisher))

@@ -41,6 +41,20 @@ class Scatter:
         """What a window counts in least squares: one in a Gaussian, little far out in the tails."""
         return (self.degrees + len(self.process)) / (self.degrees + squares)
 
+    @property
+    def told(self) -> float:
+        """Share of the weighted least squares' information that a window tells: one in a Gaussian, less with tails.
+
+        Fisher's information of a Student t over that of its core, whose weights average one (Lange, Little, Taylor
+        1989).
+        """
+        return (self.degrees + len(self.process)) / (self.degrees + len(self.process) + 2)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of a channel over the root of its scale: one in a Gaussian, more with tails."""
+        return float(np.sqrt(self.degrees / (self.degrees - 2)))
+
     def gain_weight(self, squares: Array) -> Array:
         """What windows tell of the next ones, by the squares of their innovations (N,), not yet over the scale.
 
@@ -113,9 +127,9 @@ class Noise:
 
     @property
     def alone(self) -> Array:
-        """W (C, C) with W W' the mean inverse covariance of an innovation: what a moment's slopes count on average."""
+        """W (C, C) with W W' the mean information about an innovation: what a moment's slopes count on average."""
         own = self.whitening.own
-        return np.linalg.cholesky(np.einsum("nki,nkj->ij", own, own) / len(own))
+        return np.linalg.cholesky(self.scatter.told * np.einsum("nki,nkj->ij", own, own) / len(own))
 
     def whiten(self, robot: int, residuals: Array) -> Array:
         """White innovations of a robot's residuals, or of their slopes: (..., n, C) to (..., n, C)."""

@@ -40,6 +40,7 @@ def channel_errors(problem: Problem, best: Array, scatter: Scatter) -> tuple[dic
                 diverged.append(int((~sound).sum()))
         errors[name] = np.sqrt(squares / max(count, 1))
     channels, unit = problem.simulator.states.channels, problem.unit[-ndiff:]
-    errors["sensor"] = np.sqrt(scatter.scale * scatter.sensor) * unit
-    errors["simulation"] = np.sqrt(scatter.scale * np.diag(scatter.process)[-ndiff:]) * unit
+    size = scatter.spread * unit
+    errors["sensor"] = np.sqrt(scatter.scale * scatter.sensor) * size
+    errors["simulation"] = np.sqrt(scatter.scale * np.diag(scatter.process)[-ndiff:]) * size
     return {c: {k: float(v[i]) for k, v in errors.items()} for i, c in enumerate(channels)}, diverged

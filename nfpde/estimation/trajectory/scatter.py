@@ -51,7 +51,7 @@ class Learned:
     left: Array
 
 
-def learn_alike(residuals: Sequence[Array], fitted: int, floor: Array) -> Scatter:
+def learn_alike(residuals: Sequence[Array], fitted: float, floor: Array) -> Scatter:
     """Noise of residuals that are taken for independent draws; see `learn_student`."""
     found = learn_student(residuals, fitted, floor)
     half = np.linalg.inv(found.whitener)
@@ -59,7 +59,7 @@ def learn_alike(residuals: Sequence[Array], fitted: int, floor: Array) -> Scatte
 
 
 def learn_shared(
-    start: Scatter, residuals: Array, slopes: Array, chains: Chains, fitted: int, floors: tuple[Array, Array]
+    start: Scatter, residuals: Array, slopes: Array, chains: Chains, fitted: float, floors: tuple[Array, Array]
 ) -> Learned:
     """Sizes of the errors of measured states and of the simulation, by restricted maximum likelihood.
 
@@ -73,13 +73,13 @@ def learn_shared(
         residuals: of the best parameters; NaN where a window diverged    (N, C)
         slopes: derivative of every window's end by its start                (N, C, ndiff)
         chains: which window follows which.
-        fitted: number of parameters fitted to the residuals.
+        fitted: number of parameters that all residuals determine, see `determined`.
         floors: standard deviations below which no error of a state (ndiff,) and of the simulation (C,) is believed.
     """
     channels = residuals.shape[1]
     kept, part = _some(chains)
     r, g = residuals[kept], slopes[kept]
-    inflation = 1 / _left(len(kept), fitted, channels)
+    inflation = 1 / _left(len(residuals), fitted, channels)
 
     def judged(scatter: Scatter, weights: Array) -> Judged:
         factor, innovations, squares = _innovations(scatter, part, g, r, weights)
@@ -126,7 +126,7 @@ def smoothed(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array) 
     return weights, scatter.sensor * first, np.sqrt(scatter.scale * left)
 
 
-def _left(n: int, fitted: int, channels: int) -> float:
+def _left(n: int, fitted: float, channels: int) -> float:
     """Share of the degrees of freedom that the fit has left over."""
     return max(n - fitted / channels, 0.1 * n) / n
 
