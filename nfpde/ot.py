@@ -6,7 +6,8 @@ The transport problem moves the masses `a` of the points `x` onto the masses `b`
 
 Its dual is max sum_i a[i] alpha[i] + sum_j b[j] beta[j] with alpha[i] + beta[j] <= c(x[i], y[j]) for every pair.
 A plan whose cost equals the value of such potentials is optimal. The solver finds both, checks them in double
-precision over all pairs, and raises `NotOptimal` rather than return a number it cannot prove.
+precision over all pairs (on a line along the plan, where the order of the points settles all other pairs), and raises
+`NotOptimal` rather than return a number it cannot prove.
 
 Reference: G. Peyre and M. Cuturi, Computational Optimal Transport, 2019, chapters 2 and 3.
 """
@@ -14,6 +15,7 @@ Reference: G. Peyre and M. Cuturi, Computational Optimal Transport, 2019, chapte
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -177,12 +179,15 @@ def wasserstein(
         >>> wasserstein([[0.0, 0.0]], [[3.0, 4.0]], p=2)
         5.0
     """
-    if not (isinstance(p, int | float) and math.isfinite(p) and p >= 1):
+    order = float(p) if isinstance(p, np.integer | np.floating) else p
+    if isinstance(p, bool) or not isinstance(order, int | float) or not 1 <= order <= sys.float_info.max:
         raise BadInput(f"p is {p!r}: the order of a Wasserstein distance is a finite number, at least 1")
+    p = float(order)
     points_x, points_y = _points(x, y)
     weights_a, weights_b = _vector("a", a), _vector("b", b)
     if p == 1:
-        return emd(points_x, points_y, weights_a, weights_b, threads=threads).cost / _total(weights_a, weights_b)
+        result = emd(points_x, points_y, weights_a, weights_b, threads=threads)
+        return _within_range(result.cost / _total(weights_a, weights_b))
     unit = _unit(points_x, points_y)
     points_x, points_y = points_x / unit, points_y / unit
     if p == 2:
@@ -190,8 +195,8 @@ def wasserstein(
     else:
         result = emd_matrix(_powers(points_x, points_y, p), weights_a, weights_b, threads=threads)
     if result.cost == 0 and not np.array_equal(points_x[result.plan.rows], points_y[result.plan.cols]):
-        raise BadInput(f"p is {p}: at this order the costs of the plan vanish in double precision; lower p")
-    return float((result.cost / _total(weights_a, weights_b)) ** (1 / p)) * unit
+        raise BadInput(f"p is {p:g}: at this order the costs of the plan vanish in double precision; lower p")
+    return _within_range(float((result.cost / _total(weights_a, weights_b)) ** (1 / p)) * unit)
 
 
 def _points(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -237,9 +242,16 @@ def _floats(name: str, values: ArrayLike) -> Floats:
 
 def _threads(threads: int) -> int:
     """A checked number of threads."""
-    if not isinstance(threads, int) or not 1 <= threads <= 1024:
+    if isinstance(threads, bool) or not isinstance(threads, int | np.integer) or not 1 <= threads <= 1024:
         raise BadInput(f"threads is {threads!r}: give a whole number from 1 to 1024")
-    return threads
+    return int(threads)
+
+
+def _within_range(distance: float) -> float:
+    """A distance that float64 holds."""
+    if not math.isfinite(distance):
+        raise BadInput("the distance lies outside the range of numbers: rescale the points")
+    return distance
 
 
 def _total(a: Floats | None, b: Floats | None) -> float:

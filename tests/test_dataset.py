@@ -241,3 +241,14 @@ def test_metadata_round_trips_through_json():
     assert full.versions == {"mujoco": "4.0"}
     assert Metadata.from_json(full.to_json()) == full
     assert Metadata.from_json("{}") == Metadata()
+
+
+def test_some_windows_are_those_of_all():
+    """`at` picks among all that fit, with what comes before them."""
+    data = Dataset([counted(name, rows, start=100.0 * rows) for name, rows in (("a", 9), ("b", 3), ("c", 14))])
+    every = data.windows(3, stride=2, history=4, past=5)
+    at = np.array([7, 0, 3])
+    some = data.windows(3, stride=2, history=4, past=5, at=at)
+    for name in ("state", "ctrl", "history", "past", "episode", "row"):
+        assert_array_equal(getattr(some, name), getattr(every, name)[at])
+    assert some.skipped_episodes == every.skipped_episodes

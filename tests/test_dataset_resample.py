@@ -154,6 +154,21 @@ def test_pieces_too_short_for_one_step_are_left_out(tmp_path):
     assert_allclose(data["0/2"].time, [9, 9.15, 9.3])
 
 
+def test_gaps_that_leave_no_piece_long_enough_are_named(tmp_path):
+    """Both pieces last 0.1 s: one step of 0.1 s fits, but for rounding, and none of 0.2 s."""
+    time = np.array([0, 0.1, 5, 5.1])
+    arrays = {"episode": np.zeros(4, int), "qpos": time[:, None], "qvel": time[:, None], "ctrl": time[:, None]}
+    np.savez(tmp_path / "d.npz", time=time, **arrays)
+    assert load_dataset(tmp_path / "d.npz", resample=0.1, split_gaps=True).names == ["0/0", "0/1"]
+    text = (
+        r"episode '0': cut at its gaps \(steps longer than max_gap=0\.5 s\), its longest piece lasts 0\.1 s, less than"
+    )
+    with pytest.raises(BadDataset, match=text + r" one control step of 0\.2 s; resample to a smaller step"):
+        load_dataset(tmp_path / "d.npz", resample=0.2, split_gaps=True)
+    with pytest.raises(BadInput, match="resample is nan; it must be a positive number of seconds"):
+        load_dataset(tmp_path / "d.npz", resample=float("nan"), split_gaps=True)
+
+
 def test_the_whole_episode_decides_what_a_gap_is(tmp_path):
     """A piece of denser rows than the rest may keep steps that its own median would call gaps."""
     time = np.concatenate([np.arange(8.0), 20 + np.array([0, 0.5, 1, 4, 4.5, 5])])

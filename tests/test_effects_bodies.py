@@ -148,6 +148,18 @@ def test_wind_is_mujocos(xml):
     same_as(make("wind", None, xml, **WIND), [4.0, -7.0, 2.0], blown)
 
 
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_wind_and_drag_compose_in_any_order(order):
+    """A denser medium than the model's own, or than the air that the wind puts where there is none."""
+    chosen = [effect("wind", **WIND), effect("fluid_drag", density=(0, 1000), viscosity=(0, 5))]
+    values = [[4.0, -7.0, 2.0], [0.1, 0.5]]
+    for own, density, viscosity in (("", 1.3, 0.5), ('density="900" viscosity="0.2"', 900.1, 0.7)):
+        xml = replaced('timestep="0.002"', f'timestep="0.002" {own}')
+        sim = MujocoSimulator(load(xml), None, [chosen[i] for i in order])
+        medium = f'density="{density}" viscosity="{viscosity}" wind="4 -7 2"'
+        same_as(sim, [v for i in order for v in values[i]], replaced('timestep="0.002"', f'timestep="0.002" {medium}'))
+
+
 def test_wind_carries_a_light_body_along():
     """A sphere without weight ends at the speed of the wind."""
     xml = """<mujoco><option gravity="0 0 0" density="1.2" timestep="0.01"/><worldbody><body name="ball"><freejoint/>

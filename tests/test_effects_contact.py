@@ -63,6 +63,90 @@ def test_ground_friction_brakes_a_sliding_block(coefficient):
     assert speed[150] - speed[250] == pytest.approx(coefficient * 9.81 * 0.2, rel=0.05)
 
 
+def ranked(of_floor, of_box):
+    """The block and its floor with priorities, which decide whose numbers count."""
+    xml = replaced('friction="0.2 0.005', f'priority="{of_floor}" friction="0.2 0.005', BLOCK)
+    return replaced('friction="0.5 0.005', f'priority="{of_box}" friction="0.5 0.005', xml)
+
+
+PRIORITIES = [(0, 0), (1, 0), (0, 1), (2, 1)]
+
+
+@pytest.mark.parametrize("priorities", PRIORITIES)
+@pytest.mark.parametrize("coefficient", [0.1, 0.35, 0.8])
+def test_ground_friction_brakes_whatever_the_priorities(coefficient, priorities):
+    """Below, between and above the geoms' own: the block loses mu g 0.2 s of its speed, as in the test above."""
+    xml = replaced('timestep="0.002"', 'timestep="0.002" cone="elliptic"', ranked(*priorities))
+    sim = make("ground_friction", None, xml, sliding=(0.01, 3))
+    speed = slide(sim, [coefficient], 0.0, speed=5.0)
+    assert speed[150] - speed[250] == pytest.approx(coefficient * 9.81 * 0.2, rel=0.05)
+
+
+@pytest.mark.parametrize("weights", [(3, 1), (0, 0), (0, 1)])
+@pytest.mark.parametrize("priorities", PRIORITIES)
+def test_neutral_is_what_contacts_have(priorities, weights):
+    """Friction and give of MuJoCo's own contact, from one geom alone or mixed of both."""
+    xml = replaced('name="floor"', f'name="floor" solmix="{weights[0]}" solref="0.03 0.9"', ranked(*priorities))
+    xml = replaced('name="box"', f'name="box" solmix="{weights[1]}" solref="0.05 1.2"', xml)
+    model = load(xml)
+    data = mujoco.MjData(model)
+    data.qpos[1] = -0.001
+    mujoco.mj_forward(model, data)
+    sim = make("ground_friction", None, xml, sliding=(0.01, 3))
+    np.testing.assert_array_equal(sim.nominal(), data.contact[0].friction[:1])
+    sim = make("contact_softness", None, xml, **SOFT)
+    np.testing.assert_allclose(sim.nominal(), data.contact[0].solref, rtol=1e-14)
+
+
+def test_stiffness_and_damping_count_where_contacts_take_them():
+    """A ground that says them is refused, unless the block's own time constant has priority."""
+    stiff = 'name="floor" solref="-100 -5"'
+    with pytest.raises(BadEffect, match=r"stiffness and damping \(-100.0, -5.0\)"):
+        make("contact_softness", None, replaced('name="floor"', stiff, ranked(0, 0)), **SOFT)
+    sim = make("contact_softness", None, replaced('name="floor"', stiff, ranked(0, 1)), **SOFT)
+    np.testing.assert_array_equal(sim.nominal(), [0.02, 1.0])
+
+
+MANY = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1" friction="0.6 0.005 0.0001"/>
+    <geom name="mat" type="plane" size="5 5 1" priority="2" friction="1.2 0.005 0.0001"/>
+    <body name="robot" pos="0 0 0.099">
+      <freejoint/>
+      <geom name="plain" type="box" size="0.1 0.1 0.1" friction="0.4 0.005 0.0001"/>
+      <geom name="rubber" type="box" size="0.1 0.1 0.1" pos="0 1 0" priority="1" friction="0.8 0.005 0.0001"/>
+      <geom name="foot" type="box" size="0.1 0.1 0.1" pos="0 2 0" priority="3" friction="0.9 0.005 0.0001"/>
+      <geom name="paired" type="box" size="0.1 0.1 0.1" pos="0 3 0" priority="3" friction="0.9 0.005 0.0001"/>
+    </body>
+  </worldbody>
+  <contact><pair geom1="paired" geom2="floor" friction="0.3 0.3 0.005 0.0001 0.0001" solref="0.06 0.6"/></contact>
+</mujoco>
+"""
+"""Geoms of four priorities that stand on two grounds, and a pair that overrules one of these contacts."""
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "values"),
+    [
+        ("ground_friction", {"sliding": (0.01, 3)}, [[0.2], [0.7], [2.5]]),
+        ("contact_softness", SOFT, [[0.06, 0.4], [0.01, 2.0]]),
+    ],
+)
+def test_every_contact_with_the_world_has_the_value(name, bounds, values):
+    """Each of MuJoCo's contacts of seven pairs of geoms, ranked and mixed in every way, and of an explicit pair."""
+    sim = make(name, None, MANY, **bounds)
+    for value in values:
+        model = load(MANY)
+        sim.writer.write(model, np.array(value))
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert len({tuple(c.geom) for c in data.contact}) == 8
+        for contact in data.contact:
+            found = contact.friction[:2] if name == "ground_friction" else contact.solref
+            np.testing.assert_allclose(found, np.broadcast_to(value, 2), rtol=1e-15)
+
+
 def test_contact_softness_is_solref():
     """MJCF with that solref on every geom."""
     sim = make("contact_softness", None, BLOCK, **SOFT)

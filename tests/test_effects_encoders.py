@@ -9,7 +9,7 @@ from nfpde.effects import effect
 from nfpde.errors import BadEffect
 from nfpde.sim import MujocoSimulator
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, replaced, rows_are_apart
-from tests.models import BALL, load, make_windows, plain_rollout
+from tests.models import BALL, load, make_windows, plain_rollout, with_arrays
 
 OFFSETS: dict[str, Any] = {"offset": (-1, 1)}
 SCALES: dict[str, Any] = {"scale": (0.5, 2)}
@@ -73,6 +73,52 @@ def test_offset_and_gain_compose_in_any_order():
         for n, predicted in enumerate(predict(sim, [values], windows)[0]):
             expected = plain_rollout(firm, windows.start[n] - shift, sent[n], 4) + shift
             np.testing.assert_allclose(predicted, expected, rtol=0, atol=1e-11)
+
+
+ZONE = effect("dead_zone", "shoulder_servo", half_width=(0, 1))
+ENCODERS = [("joint_offset", OFFSETS, 0.3), ("sensor_scale", SCALES, 1.5)]
+
+
+@pytest.mark.parametrize(("name", "bounds", "value"), ENCODERS)
+def test_dead_zone_and_encoder_compose_in_any_order(name, bounds, value):
+    """The loop by hand: the zone takes the middle out of the command less the reading, which the servo acts on."""
+    xml = replaced('kp="40"', 'kp="40" gear="1.2"')
+    model = load(xml)
+    zero, scale = (value, 1.0) if name == "joint_offset" else (0.0, value)
+    model.actuator_biasprm[0, 1:3] *= scale
+    model.actuator_biasprm[0, 0] = -40 * 1.2 * zero
+    factor, shift = np.ones(6), np.array([zero, 0, 0, 0, 0, 0])
+    factor[[0, 3]] = scale
+    for order, values in (([0, 1], [0.3, value]), ([1, 0], [value, 0.3])):
+        chosen = [ZONE, effect(name, "shoulder", **bounds)]
+        sim = MujocoSimulator(load(xml), None, [chosen[i] for i in order])
+        windows = make_windows(sim.model, 3, 10, nsub=4)
+        for n, predicted in enumerate(predict(sim, [values], windows)[0]):
+            sent = iter(windows.ctrl[n, :, 0].repeat(4))
+
+            def send(model, data, sent=sent):
+                reading = 1.2 * (scale * data.qpos[0] + zero)
+                error = next(sent) - reading
+                data.ctrl[0] = reading + error - np.clip(error, -0.3, 0.3)
+
+            start = (windows.start[n] - shift) / factor
+            expected = plain_rollout(model, start, windows.ctrl[n].repeat(4, axis=0), 1, send)[3::4]
+            np.testing.assert_allclose(predicted, expected * factor + shift, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "bounds", "value"), ENCODERS)
+def test_a_servo_rests_where_its_encoder_reads_the_command(name, bounds, value):
+    """Without gravity nothing moves as long as the reading stays within the dead zone of the command."""
+    xml = replaced('timestep="0.002"', 'timestep="0.002" gravity="0 0 0"')
+    # an offset shows nowhere here: neither in what gravity does nor in the error of the servo
+    sim = MujocoSimulator(load(xml), None, [ZONE, effect(name, "shoulder", **bounds)], check_influence=False)
+    windows = make_windows(sim.model, 1, 200)
+    start = np.array([0.8, 0, 0, 0, 0, 0])
+    ctrl = np.zeros_like(windows.ctrl)
+    ctrl[..., 0] = 0.85
+    windows = with_arrays(windows, state=np.broadcast_to(start, windows.state.shape), ctrl=ctrl)
+    still = predict(sim, [[0.1, value]], windows)[0, 0]
+    np.testing.assert_allclose(still, np.broadcast_to(start, still.shape), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "bounds"), [("joint_offset", OFFSETS), ("sensor_scale", SCALES)])

@@ -11,7 +11,7 @@ import pytest
 from nfpde.effects import effect
 from nfpde.errors import BadEffect, BadModel, BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import export_mjcf, load_model
+from nfpde.sim import MujocoSimulator, export_mjcf, load_model
 from tests.effect_checks import SERVO_ARM, make, same_as
 from tests.models import BLOCK, FREE_BOX, load
 
@@ -86,6 +86,46 @@ def test_effects_that_act_while_it_runs_are_refused(tmp_path):
         export_mjcf(tmp_path / "robot.xml", [late], [0.02], tmp_path / "out.xml")
     assert not (tmp_path / "out.xml").exists()
     assert export_mjcf(tmp_path / "robot.xml", [late], [0.0], tmp_path / "out.xml").exists()
+
+
+BALANCED = FREE_BOX.replace('pos="0.01 0 0"', 'pos="0 0 0"')
+"""MuJoCo compiles a free body that balances at its origin in a shorter way."""
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "values"),
+    [("com_shift", SHIFT, [0.05, 0.02, -0.1]), ("payload", {"mass": (0, 3), **PLACE}, [0.8, 0.1, 0.05, -0.2])],
+)
+def test_free_bodies_that_balance_at_their_origin(tmp_path, name, bounds, values):
+    """The file moves as the simulator of the file's own model does, and needs no word on how to compile it."""
+    (tmp_path / "box.xml").write_text(BALANCED)
+    assert load(BALANCED).body_simple[1] == 1
+    out = export_mjcf(tmp_path / "box.xml", [effect(name, "box", **bounds)], values, tmp_path / "changed.xml")
+    assert "simple" not in out.read_text()  # a file for other programs says no more than the model's own
+    sim = MujocoSimulator(tmp_path / "box.xml", None, [effect(name, "box", **bounds)])
+    same_as(sim, values, mujoco.MjModel.from_xml_path(str(out)), atol=2e-4)  # files have six digits
+
+
+def test_the_file_says_of_simple_bodies_what_the_model_says(tmp_path):
+    """A body that was kept from the shorter way stays so."""
+    (tmp_path / "box.xml").write_text(BALANCED.replace('name="box"', 'name="box" simple="false"'))
+    out = export_mjcf(tmp_path / "box.xml", [], [], tmp_path / "same.xml")
+    assert out.read_text().count('simple="false"') == 1
+
+
+def test_a_refused_export_leaves_files_alone(tmp_path):
+    """What MJCF cannot hold is found before anything is written, over the model's own file too."""
+    path, other = tmp_path / "robot.xml", tmp_path / "other.xml"
+    path.write_text(SERVO_ARM)
+    other.write_text("something else")
+    space = ParameterSpace([Parameter("geom_solimp", "upper_arm", 0.1, 0.8)])
+    for out, content in ((path, SERVO_ARM), (other, "something else")):
+        with pytest.raises(BadParameter, match="cannot hold the changed field geom_solimp"):
+            export_mjcf(path, [], [0.5], out, space)
+        assert out.read_text() == content
+    assert sorted(tmp_path.iterdir()) == [other, path]
+    damped = export_mjcf(path, [effect("viscous_damping", "elbow", damping=(0, 2))], [0.7], path)
+    assert load_model(damped).dof_damping[1] == pytest.approx(0.8)
 
 
 def test_wrong_calls_are_refused(tmp_path):

@@ -18,7 +18,7 @@ from tests.test_gap_contacts import pushes
 ANYTHING: Any = None
 SOFT = effect("contact_softness", time_constant=(0.004, 0.2), damping_ratio=(0.1, 4.0))
 FAST = effect("viscous_damping", "along", damping=(0.0, 1.0))
-NEAR: Any = "the stage of the longest windows"
+NEAR: Any = SimpleNamespace(misjudged="by how much", base=SimpleNamespace(fit=SimpleNamespace(xi=np.zeros(0))))
 
 
 class Leaving(Selection):
@@ -51,7 +51,7 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
 
     def to_the_end(search: Search) -> tuple[Any, Any]:
         used.append(search.most)
-        knew.append(search.before and search.before.near)
+        knew.append(search.before and search.before.misjudged)
         selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=len(used))
         selection.left = gap
         return "stage", Found(recordings, NEAR, selection, ANYTHING, accepted, early=False, every=every)
@@ -63,7 +63,7 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
     search = Search(ANYTHING, ANYTHING, [(what, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, ANYTHING, told.append)
     stage, found = search.run()
     assert used == ([MOST, EVERY] if again else [MOST])
-    assert knew == ([None, NEAR] if again else [None])  # the noise of the sensors is not found twice
+    assert knew == ([None, NEAR.misjudged] if again else [None])  # the noise of the sensors is not found twice
     assert stage == "stage"
     # joints that touch nothing are asked last, and once
     assert alone == ([] if accepted or gap < LEAST_GAP else [(used[-1], stage, found)])
@@ -111,9 +111,9 @@ def test_what_was_asked_of_some_halves_is_not_asked_of_others(kept, monkeypatch)
     monkeypatch.setattr(part + "first_fit", lambda *args, **options: ("base", "court"))
     monkeypatch.setattr(part + "moved_over", lambda *args: ("base", "court"))
     monkeypatch.setattr(part + "gaps", lambda base, court: np.ones(80))
-    monkeypatch.setattr(part + "alike_halves", lambda windows, gap, seed: "halves alike")
+    monkeypatch.setattr(part + "alike_halves", lambda *args: "halves alike")
     stage = SimpleNamespace(court=ANYTHING, yardstick=ANYTHING, base="base", sigma=np.ones(2))
-    monkeypatch.setattr(part + "in_noise", lambda *args, before, **options: knew.append(before) or stage)
+    monkeypatch.setattr(part + "in_noise", lambda *args, share, **options: knew.append(share) or stage)
     knew, cuts = [], []
 
     class Choosing(Search):
@@ -129,8 +129,8 @@ def test_what_was_asked_of_some_halves_is_not_asked_of_others(kept, monkeypatch)
     search = Choosing(ANYTHING, data, [], np.zeros((1, 0)), 40, 0, lambda stage: chosen, lambda what: None)
     assert search._run(early=False).halves == "halves alike"
     assert cuts[-1] == "halves alike"
-    before: Any = SimpleNamespace(halves=kept, near=NEAR)
+    before: Any = SimpleNamespace(halves=kept, early=False, misjudged=NEAR.misjudged, xi=np.zeros(0))
     cuts.clear()
     assert replace(search, before=before)._run(early=False).halves == kept
     assert {held for held in cuts if held} == ({kept} if kept else set())
-    assert knew == [None, NEAR]
+    assert knew == [None, NEAR.misjudged]

@@ -11,12 +11,18 @@ from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.brief import EVERY, brief
 from nfpde.gap.recordings import cut_recordings
-from nfpde.gap.search import Search
-from tests.test_gap_again import ANYTHING, NEAR, SOFT, Leaving
+from nfpde.gap.search import Earlier, Search
+from tests.test_gap_again import ANYTHING, SOFT, Leaving
 from tests.test_gap_contacts import pushes
 
 DELAY = effect("viscous_damping", "along", damping=(0.0, 1.0))
 FOUND: Any = SimpleNamespace(effect=DELAY)
+
+
+class Counted:
+    """A simulator that has simulated a few steps."""
+
+    simulated_steps = 7
 
 
 @pytest.mark.parametrize(
@@ -50,7 +56,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
 
         fit = SimpleNamespace(fit=ANYTHING)
         return SimpleNamespace(
-            court=ANYTHING, yardstick=there, base=fit, sigma=np.ones(2), recordings=there, shown=shown
+            court=ANYTHING, yardstick=there, base=fit, sigma=np.ones(2), misjudged=1.0, recordings=there, shown=shown
         )
 
     monkeypatch.setattr(part + "in_noise", lambda base, court, there, *args, **options: stage(there))
@@ -67,7 +73,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
         def after(self, before, longer, known, **options) -> Any:
             return stage(longer)
 
-        def _hid(self, near, anew, selection, final):
+        def _may_hide(self, near, selection, final):
             return False
 
         def _select(self, near, selection, earlier=None, *, further=False) -> Any:
@@ -80,7 +86,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
     data: Any = SimpleNamespace(control_dt=0.01)
     search = Asking(ANYTHING, data, [(SOFT, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, select, lambda what: None)
     if again:
-        search = replace(search, before=SimpleNamespace(halves=None, near=NEAR))
+        search = replace(search, before=Earlier(None, False, 1.0, np.zeros(0)))
     found_there = search._run(early=None)
     assert found_there.every is every  # then nothing is left to look at once more
     some, all_steps = (brief(recordings, *most) for most in ((), (EVERY,)))
@@ -100,3 +106,25 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
 def test_below_the_floor_of_noise_all_single_steps_are_asked(below, last, accepted, nothing):
     chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), last=last, below=below)
     assert chosen._nothing_left(ANYTHING, accepted) is nothing
+
+
+@pytest.mark.parametrize(
+    ("touches", "now", "at_floor", "asks"),
+    [
+        (True, 0.4, True, True),  # beside contacts what the model lacked looked like noise
+        (True, 0.9, True, False),
+        (False, 0.4, True, True),  # in smooth motion, what was below the floor may be above it now
+        (False, 0.4, False, False),  # what is above it was asked about
+    ],
+)
+def test_what_noise_may_have_hidden_is_asked_about(touches, now, at_floor, asks, monkeypatch):
+    """By the noise of the sensors alone, before anything else is made of the windows."""
+    monkeypatch.setattr("nfpde.gap.search.sensor_noise", lambda replay, xi, rows: np.array([2.0 * now, 2.0]))
+    near: Any = SimpleNamespace(misjudged=2.0, sigma=np.ones(2), recordings=SimpleNamespace(rows=ANYTHING))
+    final: Any = SimpleNamespace(fit=SimpleNamespace(replay=SimpleNamespace(sim=Counted()), xi=ANYTHING))
+    selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2))
+    selection.left = 1.0 if at_floor else 9.0
+    what = [(SOFT, np.ones((1, 2)))] if touches else []
+    search = Search(ANYTHING, ANYTHING, what, np.zeros((1, 0)), 160, 0, ANYTHING, ANYTHING)
+    assert search._may_hide(near, selection, final) is asks
+    assert selection.steps == (7 if touches else 0)

@@ -1,13 +1,15 @@
 """The diagnosis from recordings to report, on an arm whose faults are written out by hand."""
 
 import json
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
-from nfpde.errors import BadDataset
+from nfpde.effects import effect
+from nfpde.errors import BadDataset, BadInput
 from nfpde.gap import diagnose_gap
 from nfpde.parameters import Parameter, ParameterSpace
 from tests.gap_systems import nominal, record
@@ -169,3 +171,22 @@ def test_differences_of_rounding_are_no_gap():
     report = diagnose_gap(nominal(), data, windows=40)
     assert (report.verdict, list(report.effects)) == ("no_gap", [])
     assert max(max(abs(t.before - t.measured)) for t in report.traces) > 0
+
+
+def test_an_effect_may_be_one_of_the_free_parameters():
+    """Friction that is known to be there is fitted as a parameter is, and not looked for once more."""
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 0.5))
+    data = record(force=lambda data: -0.15 * np.tanh(data.qvel[1] / 1e-3), noise=1e-3, seed=4)
+    found = diagnose_gap(nominal(), data, ParameterSpace(friction.parameters), windows=40)
+    assert ("coulomb_friction", "elbow") not in {(c.effect, c.target) for c in found.ranking}
+    (name,) = [p.name for p in friction.parameters]
+    assert found.base[name].value == pytest.approx(0.15, rel=0.05)
+    assert found.effects == []
+
+
+@pytest.mark.parametrize(("name", "value"), [("seed", -1), ("seed", 0.5), ("windows", 19), ("nthread", -1)])
+def test_wrong_numbers_are_refused_first(name, value):
+    """By name, with what they may be."""
+    options: dict[str, Any] = {name: value}
+    with pytest.raises(BadInput, match=f"{name} is {value}; it must be a whole number, at least"):
+        diagnose_gap(nominal(), record(rows=3), **options)

@@ -59,6 +59,6 @@ def test_stages_make_up_for_it_where_contacts_are_and_find_it_out_once(capped: b
     first = in_noise(base, court, recordings, 0)
     plain = sensor_noise(replay(), np.zeros(0), recordings.rows)
     np.testing.assert_allclose(first.sigma, plain / 0.5 if capped else plain, rtol=1e-9)
-    second = in_noise(base, court, recordings, 0, before=first)
+    second = in_noise(base, court, recordings, 0, share=first.misjudged)
     np.testing.assert_allclose(second.sigma, first.sigma, rtol=1e-9)
     assert len(asked) == capped

@@ -1,5 +1,7 @@
 """The parts of the diagnosis, each against mathematics or another implementation."""
 
+import tracemalloc
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import effect
 from nfpde.errors import BadDataset
 from nfpde.gap.fit import PRIOR, Fit, Fitter
-from nfpde.gap.halves import alike_halves
+from nfpde.gap.halves import FEWEST, alike_halves
 from nfpde.gap.loud import loudness
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter
 from nfpde.gap.recordings import cut_recordings, joined
@@ -23,6 +25,7 @@ from nfpde.parameters import Parameter, ParameterSpace
 from tests.gap_systems import nominal, record
 
 ANYTHING: Any = None
+FIELDS = ("time", "qpos", "qvel", "ctrl")
 
 
 class Line(Replay):
@@ -212,17 +215,18 @@ def test_halves_show_the_gap_alike():
     episode = np.concatenate([cut.fit.episode, cut.held.episode])
     gap = np.where(np.isin(episode, [1, 4]), 9.0, 1.0)
     for seed in range(8):
-        held = alike_halves(joined(cut.fit, cut.held), gap, seed)
+        held = alike_halves((every := joined(cut.fit, cut.held)), gap, seed, every)
         assert held is not None
         assert held.shared is None
         assert len(held.episodes) == 3
         assert np.isin([1, 4], held.episodes).sum() == 1
     few = cut_recordings(record(episodes=4, rows=45), 0, 0, 160)  # 4 x 11 windows: either half must hold 20
     for seed in range(8):
-        held = alike_halves(joined(few.fit, few.held), np.ones(len(few.fit) + len(few.held)), seed)
+        held = alike_halves((every := joined(few.fit, few.held)), np.ones(len(every)), seed, every)
         assert held is None or len(cut_recordings(record(episodes=4, rows=45), 0, 0, 160, held=held).fit) >= 20
     three = cut_recordings(record(episodes=3, rows=300), 0, 0, 160)
-    assert alike_halves(joined(three.fit, three.held), np.ones(len(three.fit) + len(three.held)), 0) is None
+    every = joined(three.fit, three.held)
+    assert alike_halves(every, np.ones(len(every)), 0, every) is None
 
 
 @pytest.mark.parametrize("episodes", [3, 4, 7])
@@ -234,7 +238,7 @@ def test_an_episode_that_alone_shows_the_gap_is_shared(episodes):
     loud = (episode == 1) & np.isin(row, np.sort(row[episode == 1])[[2, 5, 6]])
     gap = np.where(loud, 1e4 * (1 + row), 1.0)
     for seed in range(8):
-        held = alike_halves(joined(cut.fit, cut.held), gap, seed)
+        held = alike_halves((every := joined(cut.fit, cut.held)), gap, seed, every)
         assert held is not None
         again = cut_recordings(data, 0, 0, 160, held=held)
         sides = [np.isin(row[loud], half.row[half.episode == 1]).sum() for half in (again.fit, again.held)]
@@ -256,3 +260,39 @@ def test_a_diverged_window_is_bad_but_finite():
     density = scatter.log_density(lost)
     assert np.isfinite(density).all()
     assert density[1] < density[0] - 1
+
+
+@pytest.mark.parametrize("rows", [[6000, 200], [1000, 30], [3000, 60, 60]])
+def test_short_episodes_beside_a_long_one_do_no_harm(rows):
+    """What one long recording alone would be enough for is enough with short ones beside it, whatever the seed."""
+    data = record(episodes=1, rows=max(rows))
+    (whole,) = data
+    parts = [replace(whole, name=str(i), **{f: getattr(whole, f)[:n] for f in FIELDS}) for i, n in enumerate(rows)]
+    for seed in range(3):
+        cut = cut_recordings(Dataset(parts), 0, seed, 160)
+        assert min(len(cut.fit), len(cut.held)) >= FEWEST
+
+
+def test_halves_leave_either_half_long_windows():
+    """Where all long windows would lie in one half, nothing is chosen, as there would be nothing to hold out."""
+    data = record(episodes=6, rows=200)
+    cut = cut_recordings(data, 0, 0, 160)
+    every = joined(cut.fit, cut.held)
+    chosen = alike_halves(every, np.ones(len(every)), 0, every)
+    assert chosen is not None
+    one_sided = every[np.flatnonzero(~chosen.late(every))]
+    assert alike_halves(every, np.ones(len(every)), 0, one_sided) is None
+
+
+def test_memory_is_that_of_the_windows_that_are_used():
+    """Four times as long a recording with a long history takes no four times the memory."""
+    peaks = []
+    for rows in (1000, 4000):
+        (whole,) = record(episodes=1, rows=1000)
+        repeated = {f: np.concatenate([getattr(whole, f)] * (rows // 1000)) for f in FIELDS[1:]}
+        data = Dataset([replace(whole, time=0.01 * np.arange(rows), **repeated)])
+        tracemalloc.start()
+        cut_recordings(data, 400, 0, 20)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.5 * peaks[0]

@@ -162,3 +162,16 @@ def test_a_fault_on_the_floor_is_placed_in_contact(tmp_path):
         assert sum(v for row in told[group].values() for v in row.values()) == pytest.approx(1.0)
     empty = replace(found.gap_map, share=0 * found.gap_map.share)
     assert sum(p.share for p in places(empty)) == 0.0
+
+
+def test_a_body_that_goes_one_way_turns_round_nowhere():
+    """A rover that backs off while it yaws to the left has speeds of both signs, and none of them changes."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint name='root'/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    qvel = np.tile([-0.5, 0, 0, 0, 0, 0.3], (9, 1))
+    steady = asked(model, windows_of(model, np.tile(model.qpos0, (9, 1)), qvel))["motion"]
+    assert set(answers(steady, 0)) == {"fast"}
+    qvel[2, 5] = -0.3
+    swaying = asked(model, windows_of(model, np.tile(model.qpos0, (9, 1)), qvel))["motion"]
+    assert answers(swaying, 0) == ["reversal", "fast"]

@@ -48,7 +48,7 @@ def test_a_motor_that_pushes_is_found_for_a_force_that_does(many):
         (nothing, np.array([[1e-3]])),
     ]
     made = {e: Replay(model, None, [e]) for e, _ in others}
-    alike = find_twins(stage.court, stage.base.fit, found, others, made.__getitem__)
+    alike = find_twins(stage.court, stage.base.fit, found, others, made.__getitem__, touches=True)
     assert alike[0].effect is bias
     assert alike[0].share > 0.9  # the last looks are 7 % apart: the nearest is half of that off
     ((_, start),) = alike[0].starts
@@ -112,7 +112,7 @@ def test_a_motor_that_tires_with_speed_is_looked_for_beside_a_limit():
         made.append(Replay(model, None, [one]))
         return made[-1]
 
-    (twin,) = find_twins(stage.court, stage.base.fit, found, others, replay_with)
+    (twin,) = find_twins(stage.court, stage.base.fit, found, others, replay_with, touches=False)
     assert twin.effect is curve
     truth = stage.court.judge(curve, stage.court.fitter.start(twin.replay, np.array([[NO_LOAD, STALL]]), fit.scatter))
     assert np.abs(truth.held).max() < 1e-9  # the physics by hand are the effect's

@@ -80,6 +80,15 @@ def test_accepts_what_numpy_can_read():
     assert wasserstein(wide[::2, ::2], np.asfortranarray(y32)) == exact
 
 
+def test_accepts_numbers_of_numpy():
+    """Orders and threads as NumPy counts them give the bits of Python's numbers."""
+    x, y = clouds("gauss", 20, 30, 3)
+    for p in (1, 2, 3):
+        exact = wasserstein(x, y, p, threads=2)
+        for kind in ("int64", "uint8", "float32", "float64"):
+            assert wasserstein(x, y, np.array([p], kind)[0], threads=np.array([2])[0]) == exact
+
+
 @pytest.mark.slow
 def test_five_thousand_weighted_points():
     """The optimum is 1.59983752905 (four other solvers); a solver stopped early gives 1.65358 here."""

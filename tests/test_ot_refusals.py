@@ -87,6 +87,10 @@ def test_largest_numbers():
     with pytest.raises(BadInput, match="outside the range of numbers"):
         emd([[1.7e308, 1.7e308]], [[-1.7e308, -1.7e308]])
     assert emd([[1.7e308, 0]], [[1.0e308, 0]]).cost == pytest.approx(0.7e308)
+    for p in (1, 2, 3):
+        with pytest.raises(BadInput, match="outside the range of numbers: rescale the points"):
+            wasserstein([[1e308]], [[-1e308]], p)
+        assert wasserstein([[0.8e308]], [[-0.8e308]], p) == pytest.approx(1.6e308, rel=1e-15)
 
 
 def test_matrix():
@@ -97,7 +101,22 @@ def test_matrix():
         emd_matrix(np.ones((0, 4)))
 
 
-@pytest.mark.parametrize("p", [0.5, 0, -1, np.nan, np.inf, "2", None])
+@pytest.mark.parametrize(
+    "p",
+    [
+        0.5,
+        0,
+        -1,
+        np.nan,
+        np.inf,
+        np.float32(np.inf),
+        np.int64(0),
+        pytest.param(10**400, id="beyond floats"),
+        True,
+        "2",
+        None,
+    ],
+)
 def test_order(p):
     """Orders below 1 do not give a metric; infinity is another problem."""
     with pytest.raises(BadInput, match="the order of a Wasserstein distance is a finite number, at least 1"):
@@ -116,7 +135,7 @@ def test_metric():
         emd(X, Y, metric="cosine")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("threads", [0, -1, 1.5, "2", 10**6])
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "2", 10**6, np.int64(0), np.float64(2), True])
 def test_threads(threads):
     """A number of threads that makes no sense."""
     with pytest.raises(BadInput, match=r"threads is .* whole number"):

@@ -2,6 +2,7 @@
 
 import copy
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -9,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.dataset import Windows
+from nfpde.dataset import Dataset, Windows
+from nfpde.effects import effect
 from nfpde.errors import BadInput, BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import MujocoSimulator, load_model, simulator, squared_error
@@ -237,9 +239,29 @@ def test_windows_of_another_robot_are_refused(change, text):
 
 
 def test_control_steps_with_rounding_are_accepted():
-    """A recorder's 0.006000000001 s is three steps of 0.002 s."""
+    """A recorder's 0.006000000001 s is three steps of 0.002 s, and so is what differs from them by less than 0.1 %."""
     sim = arm()
-    assert [sim.substeps(dt) for dt in (0.002, 0.006000000001, 0.3)] == [1, 3, 150]
+    assert [sim.substeps(dt) for dt in (0.002, 0.006000000001, 0.005995, 0.006005, 0.3)] == [1, 3, 3, 3, 150]
+    for dt in (0.00599, 0.00601):
+        with pytest.raises(BadInput, match="no multiple of the model's timestep"):
+            sim.substeps(dt)
+
+
+def test_clocks_that_a_data_set_may_have_are_simulated():
+    """A clock that drifts and a last stamp that is late: the simulations are those of an exact clock, bit by bit."""
+    late = effect("actuation_delay", "elbow_motor", delay=(0.0, 0.01))
+    sim = MujocoSimulator(load(DOUBLE_PENDULUM), None, [late, effect("backlash", "*", width=(0.0, 0.1))])
+    (exact,) = record(sim.model, 1, 49, 5)
+
+    def predicted(time):
+        data = sim.prepare(Dataset([replace(exact, time=time)]))
+        dt = data.control_dt
+        windows = data.windows(3, history=sim.history_steps(dt), past=sim.past_steps(dt))
+        return sim.predict([[0.005, 0.05]], windows)
+
+    expected = predicted(exact.time)
+    for time in (exact.time * 1.00002, exact.time * 1.0009, exact.time + 3e-6 * (np.arange(50) == 49)):
+        np.testing.assert_array_equal(predicted(time), expected)
 
 
 @pytest.mark.parametrize("scale", [np.ones(3), np.array([1, 1, 0, 1.0]), np.array([1, 1, np.nan, 1]), 1.0])
@@ -277,3 +299,13 @@ def test_windows_without_commands():
     model = load(FREE_BOX)
     assert model.nu == 0
     assert isinstance(make_windows(model, 1, 1), Windows)
+
+
+def test_no_rows_are_no_residuals():
+    """Without a vector or a window answers are empty, of the shape that any other number would have."""
+    sim, space = arm(), arm().space
+    windows = record(load(DOUBLE_PENDULUM), 1, 9, 2, seed=2).windows(2)
+    scale, none = np.ones(windows.horizon * sim.states.ndiff), np.zeros(0, dtype=np.intp)
+    xi = space.uniform(3, np.random.default_rng(0))
+    assert sim.residuals(xi, windows, none, none, scale).shape == (0, len(scale))
+    assert sim.losses(np.empty((0, 3)), windows, scale[: sim.states.ndiff]).shape == (0, len(windows))

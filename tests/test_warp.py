@@ -16,7 +16,7 @@ from nfpde.effects import effect
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on
+from nfpde.sim import LOSS_LIMIT, MujocoSimulator, make_simulator, runs_on, warp_batches
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_memory import Counter, passing_bytes
 from tests.device import WARP
@@ -170,11 +170,12 @@ def test_buffers_can_be_given_back():
     np.testing.assert_array_equal(sim.losses(xi, windows, np.ones(4)), before)
 
 
-def test_memory_of_a_world_is_its_own():
+def test_memory_of_a_world_is_its_own(monkeypatch):
     """As much is predicted in a fresh process as after many worlds have run, and a step's buffers are part of it."""
     windows = make_windows(load(DOUBLE_PENDULUM), 50, 2)
     sizes = []
     for nvector in (2, 60, 2):
+        monkeypatch.setattr(warp_batches, "FOOTPRINTS", {})  # else what was measured first is what is read
         sim = arm()
         sim.losses(vectors(sim, nvector), windows, np.ones(4))
         kind = next(iter(sim._batches.kept))
@@ -185,6 +186,17 @@ def test_memory_of_a_world_is_its_own():
     assert many - few > 27 * 4 * (kind.njmax + sim.model.nv)
     assert sizes[0].world > (many - few) // 27
     assert not isinstance(wp.get_device_allocator(sim.device), Counter)
+
+
+@pytest.mark.parametrize(("nvector", "nwindow"), [(0, 4), (1, 0), (0, 0)])
+def test_no_vectors_or_no_windows(sim, nvector, nwindow):
+    """Nothing to simulate is answered as the twin answers it: with arrays of the shapes asked for."""
+    windows, xi = make_windows(sim.model, 4, 2)[np.arange(nwindow)], vectors(sim, nvector)
+    assert sim.reference.predict(xi, windows).shape == (nvector, nwindow, 2, 4)
+    assert sim.predict(xi, windows).shape == (nvector, nwindow, 2, 4)
+    assert sim.reference.losses(xi, windows, np.ones(4)).shape == (nvector, nwindow)
+    assert sim.losses(xi, windows, np.ones(4)).shape == (nvector, nwindow)
+    assert torch.from_dlpack(sim.losses_on_device(xi, windows, np.ones(4))).shape == (nvector, nwindow)
 
 
 def test_any_pairs_in_any_order(sim):

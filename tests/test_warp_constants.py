@@ -39,28 +39,44 @@ TREES = """
 """Every type of joint, two trees, bodies fixed to another and to the world, a tendon, and motors on them."""
 
 
-@pytest.mark.parametrize("name", [*ROBOTS, "trees", "tendon with inertia"])
+def belt(armature):
+    """The trees as they are compiled with inertia in their tendon, of that much."""
+    model = load(TREES.replace('name="belt"', 'name="belt" armature="1"'))
+    model.tendon_armature[:] = armature
+    return model
+
+
+TENDONS = {
+    "trees": ([load(TREES)], []),
+    "tendon with inertia": ([belt(0.1)], []),
+    "tendon that may have inertia": ([load(TREES)], [Parameter("tendon_armature", "belt", 0.0, 0.5)]),
+    "tendon with inertia in one of two models": ([belt(0.0), belt(0.1)], [Parameter("model", None, 0.0, 2.0)]),
+}
+"""By name the models, and parameters beside masses and an armature; with inertia in a tendon the host derives."""
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, *TENDONS])
 def test_constants_of_the_model_follow_the_parameters(name):
     """What depends on masses and inertias is derived in every row as by mj_setConst, on the device where it can be."""
     if name in ROBOTS:
         model, space = ROBOTS[name].model, ROBOTS[name].space
     else:
-        model = load(TREES if name == "trees" else TREES.replace('name="belt"', 'name="belt" armature="0.1"'))
+        model, more = TENDONS[name]
         masses = [Parameter("body_mass", body, 0.5, 2.0, relative=True) for body in ("hull", "mast", "head", "arm")]
-        space = ParameterSpace([*masses, Parameter("dof_armature", "axle", 0.005, 0.05)])
+        space = ParameterSpace([*masses, Parameter("dof_armature", "axle", 0.005, 0.05), *more])
     sim = WarpSimulator(model, space, device=WARP, check_influence=False)
     xi = vectors(sim, 5)
     windows = make_windows(sim.model, 2, 1)
     sim.losses(xi, windows, np.ones(sim.states.ndiff))
     (batch,) = sim._batches.kept.values()
-    assert batch.derives == (name != "tendon with inertia")
     expected = sim.reference.writer.rows(xi)
     for field, array in batch._fields.items():
         row = expected[field].reshape(5, -1)
         # single precision through a Cholesky factor: 1e-5 relative; on a GPU there are rows that nobody reads
         np.testing.assert_allclose(array.numpy()[:5], row, rtol=1e-4, atol=1e-6 * np.abs(row).max(), err_msg=field)
     derived = {"body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0"}
-    assert derived | ({"tendon_invweight0"} if model.ntendon else set()) <= batch._fields.keys()
+    assert derived | ({"tendon_invweight0"} if sim.model.ntendon else set()) <= batch._fields.keys()
+    assert batch.derives == ("inertia" not in name)
 
 
 def test_what_is_derived_reaches_no_other_simulator():

@@ -85,6 +85,29 @@ def test_kernel_equals_its_twin_with_servos(name):
     np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
 
 
+def test_dead_zones_are_about_what_encoders_read():
+    """The error of a servo counts its reading: off by an offset, and a multiple of the motion."""
+    effects = [effect(name, "shoulder", **CASES[name][1]) for name in ("joint_offset", "sensor_scale")]
+    zone = effect("dead_zone", "#0", half_width=(0.0, 0.5))
+    sim = WarpSimulator(load(SERVOS), None, [zone, *effects], device=WARP, check_influence=False)
+    windows = make_windows(sim.model, 4, 5, nsub=4)
+    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
+    expected = sim.reference.predict(xi, windows)
+    assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+
+
+def test_a_clock_that_is_a_little_off_changes_nothing():
+    """A control step of 0.05 % more is simulated as that of an exact clock, before the window too, bit by bit."""
+    sim = arm(effect("actuation_delay", "*", delay=(0.0, 0.008)), effect("backlash", "*", width=(0.0, 0.1)))
+    data = record(sim.model, 1, 40, 4)
+    dt = data.control_dt
+    windows = data.windows(3, history=sim.history_steps(dt), past=sim.past_steps(dt))
+    drifting = with_arrays(windows, control_dt=1.0005 * dt)
+    xi = [[0.005, 0.05]]
+    np.testing.assert_array_equal(sim.predict(xi, drifting), sim.predict(xi, windows))
+
+
 @pytest.mark.parametrize("xml", [DOUBLE_PENDULUM, SERVOS], ids=["motors", "servos"])
 def test_rotors_are_where_the_recording_took_them(xml):
     """Backlash, behind late commands and beside an encoder that is off, through the recorded motion before windows."""

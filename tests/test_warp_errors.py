@@ -10,11 +10,12 @@ import pytest
 
 from nfpde.errors import BadInput, BadModel
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import Whitening, make_simulator, warp_batches, warp_device, warp_family, warp_model
+from nfpde.sim import Whitening, make_simulator, warp_batch, warp_batches, warp_device, warp_family, warp_model
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_batch import WarpBatch
 from nfpde.sim.warp_memory import Footprint, passing_bytes
 from nfpde.sim.warp_overflow import CONSTRAINTS
+from nfpde.sim.warp_sizes import LEAST_CONSTRAINTS
 from tests.models import DOUBLE_PENDULUM, PENDULUM, load, make_windows
 
 SPACE = ParameterSpace([Parameter("dof_damping", "hinge", 0.0, 1.0)])
@@ -116,6 +117,43 @@ def test_a_field_that_all_worlds_share():
         WarpSimulator(load(xml), space, device="warp-cpu", check_influence=False)
 
 
+SPRINGS, DAMPERS = int(mujoco.mjtDisableBit.mjDSBL_SPRING), int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+
+
+@pytest.mark.parametrize("disabled", [0, SPRINGS, DAMPERS])
+def test_every_evaluation_of_runge_kutta_is_checked(monkeypatch, disabled):
+    """All four of a step look for buffers that overflow: once as kernels are loaded, once as the step is captured."""
+    looked = []
+    monkeypatch.setattr(warp_batch, "flag_overflow", lambda m, d: looked.append(d))
+    model = load(PENDULUM)
+    model.opt.integrator, model.opt.disableflags = mujoco.mjtIntegrator.mjINT_RK4, disabled
+    sim = pendulum(model)
+    sim.losses([[0.5]], make_windows(model, 2, 1), np.ones(2))
+    (batch,) = sim._batches.kept.values()
+    assert sum(d is batch.d for d in looked) == 2 * 4
+
+
+def test_runge_kutta_without_passive_forces():
+    """Where springs and dampers are both disabled, three of its four evaluations would go unchecked."""
+    model = load(PENDULUM)
+    model.opt.integrator, model.opt.disableflags = mujoco.mjtIntegrator.mjINT_RK4, SPRINGS | DAMPERS
+    with pytest.raises(BadModel, match=r"springs and dampers are both disabled.*RK4.*or use device='cpu'"):
+        pendulum(model)
+
+
+def test_one_evaluation_without_passive_forces():
+    """Other integrators have one in a step, whose buffers MuJoCo Warp checks at its end."""
+    model = load(DOUBLE_PENDULUM)
+    model.opt.disableflags = SPRINGS | DAMPERS
+    joints = [Parameter("dof_frictionloss", joint, 0.1, 0.5) for joint in ("shoulder", "elbow")]
+    sim = WarpSimulator(model, ParameterSpace(joints), device="warp-cpu", check_influence=False)
+    windows = make_windows(model, 4, 5)
+    sim._buffers = (1, 1)
+    expected = sim.reference.predict([[0.3, 0.4]], windows)
+    np.testing.assert_allclose(sim.predict([[0.3, 0.4]], windows), expected, atol=2e-5)
+    assert sim.usage().njmax == 2
+
+
 def test_pgs_is_replaced():
     """The PGS solver, which MuJoCo Warp lacks, is Newton's here as in every simulator of the package."""
     model = load(DOUBLE_PENDULUM)
@@ -148,7 +186,8 @@ def small_memory(monkeypatch):
     monkeypatch.setattr(allocator, "allocate", limited)
     monkeypatch.setattr(allocator, "deallocate", freed)
     # the other half is for what a step allocates and gives back, which is known in advance on a GPU only
-    monkeypatch.setattr(warp_batches, "free_bytes", lambda _: budget // 2)
+    for module in (warp_batches, warp_device):
+        monkeypatch.setattr(module, "free_bytes", lambda _: (budget - sum(held.values())) // 2)
     # nothing is known or kept from earlier simulators
     monkeypatch.setattr(warp_family, "FOOTPRINTS", {})
     monkeypatch.setattr(warp_batches, "FOOTPRINTS", warp_family.FOOTPRINTS)
@@ -157,15 +196,17 @@ def small_memory(monkeypatch):
     return held
 
 
-def test_out_of_memory_names_the_worlds_that_fit(small_memory):
-    """Too many worlds at once: the text has a number, and as many do fit, with the same losses."""
+@pytest.mark.parametrize("others", [0, 3 << 20])
+def test_out_of_memory_names_the_worlds_that_fit(small_memory, others):
+    """Too many worlds at once: the text has a number, and as many do fit, beside what others took since."""
     windows = make_windows(load(PENDULUM), 400, 1)
     xi, one = [[d] for d in np.linspace(0.1, 0.9, 20)], np.ones(2)
     sim = pendulum(nworld=8000)
+    small_memory["others"] = others
     with pytest.raises(BadInput, match=r"cpu: no memory for 8000 worlds of about \d+ KiB .*pass nworld=\d+") as error:
         sim.losses(xi, windows, one)
     fitting = int(str(error.value).split("nworld=")[1].split(",")[0])
-    assert 100 < fitting < 8000
+    assert 20 < fitting < 8000
     del sim  # the error alone, which somebody may keep, holds no buffers
     found = pendulum(nworld=fitting).losses(xi, windows, one)
     np.testing.assert_allclose(found, pendulum().reference.losses(xi, windows, one), rtol=1e-4)
@@ -218,6 +259,43 @@ def test_simulators_that_keep_buffers_give_way(small_memory):
     assert not any(other._batches.kept for other in others)
     del small_memory["foreign"]
     np.testing.assert_allclose(others[0].losses(xi, windows, one), sim.losses(xi, windows, one), rtol=1e-4)
+
+
+def test_own_buffers_give_way(small_memory):
+    """What a simulator kept of its last call is room for the next, although nobody else has anything to give."""
+    windows = make_windows(load(PENDULUM), 108, 1)
+    sim = pendulum()
+    sim.losses([[0.5]], windows[np.arange(102)], np.ones(2))
+    small_memory["foreign"] = (4 << 20) - sum(small_memory.values()) - (300 << 10)
+    expected = sim.reference.losses([[0.5]], windows, np.ones(2))
+    np.testing.assert_allclose(sim.losses([[0.5]], windows, np.ones(2)), expected, rtol=1e-4)
+
+
+def test_a_step_that_never_finds_memory(monkeypatch):
+    """A batch that is made, and shared, but cannot run: what it took itself is no room for another try."""
+    ran = []
+
+    def run(self, scale):
+        ran.append(self)
+        assert len(ran) < 5
+        raise RuntimeError("Failed to allocate 8 bytes on device 'cpu'")
+
+    monkeypatch.setattr(WarpBatch, "run", run)
+    sim = pendulum()
+    with pytest.raises(BadInput, match="no memory for 4 worlds"):
+        sim.predict([[0.5]], make_windows(sim.model, 4, 1))
+
+
+def test_friction_that_a_sparse_model_lacks(small_memory):
+    """MuJoCo Warp makes room in sparse Jacobians for friction of the nominal model alone: ours has it for any."""
+    xml = DOUBLE_PENDULUM.replace("<option ", '<option jacobian="sparse" ')
+    model = load(xml.replace("<geom ", '<geom contype="0" conaffinity="0" '))
+    joints = [Parameter("dof_frictionloss", joint, 0.0, 0.5) for joint in ("shoulder", "elbow")]
+    sim = WarpSimulator(model, ParameterSpace(joints), device="warp-cpu", check_influence=False)
+    windows = make_windows(model, 4, 5)
+    expected = sim.reference.predict([[0.3, 0.4]], windows)
+    np.testing.assert_allclose(sim.predict([[0.3, 0.4]], windows), expected, atol=2e-5)
+    assert sim.usage().njmax == LEAST_CONSTRAINTS
 
 
 def test_no_memory_at_all(small_memory, monkeypatch):

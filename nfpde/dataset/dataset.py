@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nfpde.dataset.columns import GROUPS, ColumnNames, repeated
 from nfpde.dataset.episode import Episode
@@ -119,7 +120,15 @@ class Dataset:
         """
         return self.windows(1, history=history)
 
-    def windows(self, horizon: int, *, stride: int | None = None, history: int = 0, past: int = 0) -> Windows:
+    def windows(
+        self,
+        horizon: int,
+        *,
+        stride: int | None = None,
+        history: int = 0,
+        past: int = 0,
+        at: NDArray[np.intp] | None = None,
+    ) -> Windows:
         """Windows of `horizon` control steps; episodes too short for one are skipped and listed.
 
         Args:
@@ -127,6 +136,7 @@ class Dataset:
             stride: Rows from one start to the next; None means `horizon` (no overlap).
             history: Number K of commands to give from before each start.
             past: Number P of states to give from before each start.
+            at: Indices of the windows wanted, among all that fit; None: all. What comes before them takes memory.
 
         Returns:
             The windows, ordered by episode, then by row; `Windows.skipped_episodes` lists what was skipped.
@@ -136,7 +146,7 @@ class Dataset:
         """
         with naming(self.source):
             return cut_windows(
-                self.episodes, self.control_dt, horizon=horizon, stride=stride, history=history, past=past
+                self.episodes, self.control_dt, horizon=horizon, stride=stride, history=history, past=past, at=at
             )
 
     def split(self, held_out: float | Sequence[str], *, seed: int = 0) -> tuple["Dataset", "Dataset"]:

@@ -13,7 +13,7 @@ from nfpde.dataset.naming import naming
 from nfpde.dataset.npz import read_npz, write_npz
 from nfpde.dataset.parquet_file import read_parquet, write_parquet
 from nfpde.dataset.recording import Recording
-from nfpde.dataset.resample import bridged_step, resample_episode, split_episode_at_gaps
+from nfpde.dataset.resample import bridged_step, check_seconds, resample_episode, split_episode_at_gaps, whole_steps
 from nfpde.errors import BadDataset, BadInput
 
 _READERS: dict[str, Callable[[Path], Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
@@ -119,8 +119,16 @@ def _resample(
     max_gap = bridged_step(episode) if max_gap is None else max_gap
     pieces = [episode]
     if split_gaps:
-        pieces = split_episode_at_gaps(episode, max_gap)
-        pieces = [piece for piece in pieces if piece is episode or piece.duration >= control_dt]
+        check_seconds(control_dt, "resample")
+        cut = split_episode_at_gaps(episode, max_gap)
+        pieces = [piece for piece in cut if piece is episode or whole_steps(piece, control_dt)]
+        if not pieces:
+            longest = max(piece.duration for piece in cut)
+            raise BadDataset(
+                f"episode {episode.name!r}: cut at its gaps (steps longer than max_gap={max_gap:.6g} s), its longest "
+                f"piece lasts {longest:.6g} s, less than one control step of {control_dt:.6g} s; resample to a smaller "
+                "step, raise max_gap, or remove the episode."
+            )
     return [resample_episode(piece, control_dt, quaternions=quaternions, max_gap=max_gap) for piece in pieces]
 
 

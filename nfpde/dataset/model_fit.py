@@ -30,6 +30,9 @@ def check_against_model(
 ) -> Dataset:
     """Check that a data set fits a model, and put its columns in the model's order.
 
+    A clock that is off by up to 0.1 % is let pass: one control step is simulated as the nearest whole number of
+    timesteps, and the effect `time_scale` says by how much longer it lasts.
+
     Args:
         dataset: The recordings.
         nq: The model's number of positions.

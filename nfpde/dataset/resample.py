@@ -44,13 +44,13 @@ def resample_episode(
     check_seconds(control_dt, "control_dt")
     _check_quaternions(episode, quaternions)
     _check_gaps(episode, max_gap)
-    steps = np.floor(episode.duration / control_dt * (1 + 1e-9))
+    steps = whole_steps(episode, control_dt)
     if steps < 1:
         raise BadDataset(
             f"episode {episode.name!r} lasts {episode.duration:.6g} s, less than one control step of {control_dt:.6g} "
             "s; resample to a smaller step, or remove the episode."
         )
-    even = episode.time[0] + control_dt * np.arange(int(steps) + 1)
+    even = episode.time[0] + control_dt * np.arange(steps + 1)
     time = np.minimum(even, episode.time[-1])  # the last may lie beyond by a rounding error
     held = np.searchsorted(episode.time, time + 1e-6 * control_dt, side="right") - 1
     qpos = _interpolate(episode.time, episode.qpos, time)
@@ -65,6 +65,11 @@ def resample_episode(
         ctrl=episode.ctrl[held],
         robot=episode.robot,
     )
+
+
+def whole_steps(episode: Episode, control_dt: float) -> int:
+    """How many steps of `control_dt` [s] an episode lasts, but for rounding."""
+    return int(np.floor(episode.duration / control_dt * (1 + 1e-9)))
 
 
 def bridged_step(episode: Episode) -> float:

@@ -162,9 +162,16 @@ class Windows:
 
 
 def cut_windows(
-    episodes: Sequence[Episode], control_dt: float, *, horizon: int, stride: int | None, history: int, past: int = 0
+    episodes: Sequence[Episode],
+    control_dt: float,
+    *,
+    horizon: int,
+    stride: int | None,
+    history: int,
+    past: int = 0,
+    at: NDArray[np.intp] | None = None,
 ) -> Windows:
-    """Cut every window that fits, episode by episode.
+    """Cut every window that fits, episode by episode, or some of them.
 
     Args:
         episodes: Recordings of equal nq, nv and nu.
@@ -173,6 +180,7 @@ def cut_windows(
         stride: Rows from one start to the next; None means `horizon` (no overlap).
         history: Commands K to give from before the start.
         past: States P to give from before the start.
+        at: Indices of the windows wanted, among all that fit; None: all.
 
     Returns:
         The windows, ordered by episode, then by row.
@@ -196,6 +204,8 @@ def cut_windows(
         )
     episode = np.repeat(np.arange(len(episodes)), counts)
     row = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * stride
+    if at is not None:
+        episode, row = episode[at], row[at]
     first = (np.cumsum(lengths) - lengths)[episode, None]  # where the window's episode begins in the joined rows
 
     state = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in episodes])

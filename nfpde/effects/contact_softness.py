@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.contacts import Index, touching
+from nfpde.effects.contacts import Index, meetings, touching
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -88,11 +88,19 @@ class ContactSoftness(Effect):
 
 
 def _own(model: mujoco.MjModel) -> tuple[float, float]:
-    """The model's time constant and damping ratio, mixed as a contact mixes its geoms'; of several the median."""
-    ground, robot, pairs = touching(model)
-    if len(pairs):
-        mixed = np.median(model.pair_solref[pairs], axis=0)
-    else:
-        sides = [np.median(model.geom_solref[side], axis=0) for side in (ground, robot) if len(side)]
-        mixed = np.mean(sides, axis=0) if sides else np.array([0.02, 1.0])
-    return float(mixed[0]), float(mixed[1])
+    """The model's time constant and damping ratio, as MuJoCo's contacts take them from their geoms or pairs.
+
+    Of several the median. A contact takes those of the geom with the higher priority; at equal priority it mixes them
+    by `geom_solmix`, or takes the smaller where one of them is a stiffness and a damping.
+    """
+    ground, robot, ahead = meetings(model)
+    of_ground, of_robot = model.geom_solref[ground], model.geom_solref[robot]
+    weights = np.maximum(model.geom_solmix, mujoco.mjMINVAL)  # as MuJoCo: two weights of zero count as equal
+    share = (weights[ground] / (weights[ground] + weights[robot]))[:, None]
+    times = ((of_ground[:, 0] > 0) & (of_robot[:, 0] > 0))[:, None]
+    mixed = np.where(times, share * of_ground + (1 - share) * of_robot, np.minimum(of_ground, of_robot))
+    first = ahead[:, None]
+    mixed = np.where(first > 0, of_robot, np.where(first < 0, of_ground, mixed))
+    found = np.concatenate([mixed, model.pair_solref[touching(model)[2]]])
+    time_constant, ratio = np.median(found, axis=0) if len(found) else (0.02, 1.0)
+    return float(time_constant), float(ratio)

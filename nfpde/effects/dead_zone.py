@@ -18,8 +18,9 @@ from nfpde.effects.scales import DataScales
 class DeadZone(Effect):
     """Nothing within `half_width` of zero, and half_width less beyond it.
 
-    A motor loses the middle of its command; a position servo that of its error, command minus position as the
-    actuator measures it (behind its gear). Commands are clamped to ctrlrange before.
+    A motor loses the middle of its command; a position servo that of its error, command minus position as its gains
+    count it: behind its gear, and as the encoder says it where `joint_offset` or `sensor_scale` changed that. Commands
+    are clamped to ctrlrange before.
     """
 
     name = "dead_zone"
@@ -71,9 +72,10 @@ class DeadZone(Effect):
         servos = self.servos
         if not len(servos.ids):
             return
-        gear = servos.field(world, "actuator_gear", rows)[..., 0]
+        gear, gain = (servos.field(world, f"actuator_{name}", rows)[..., 0] for name in ("gear", "gainprm"))
+        own = servos.field(world, "actuator_biasprm", rows)
         sent = servos.clamped(world.model, world.ctrl[np.ix_(rows, servos.ctrls)])
-        error = sent - gear * world.qpos[np.ix_(rows, servos.qposadr)]
-        lost = np.clip(error, -values, values)
-        bias = world.fields["actuator_biasprm"]
-        bias[(*np.ix_(rows, servos.ids), 0)] -= servos.field(world, "actuator_gainprm", rows)[..., 0] * lost
+        # gain times error, from what the servo makes of its reading; no division, as other effects may leave no gain
+        force = gain * sent + own[..., 0] + own[..., 1] * gear * world.qpos[np.ix_(rows, servos.qposadr)]
+        most = np.abs(gain) * values
+        world.fields["actuator_biasprm"][(*np.ix_(rows, servos.ids), 0)] -= np.clip(force, -most, most)

@@ -211,13 +211,15 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     halves = (court.fitter, court.held)
     # both halves: where the gap lies is no matter of proof, and an effect may show in few windows
     at_base = [needed_forces(near.base.fit, half, quiet, outcome.typical, noise).energy for half in halves]
-    forces = [needed_forces(left_over.fit, half, quiet, outcome.typical, noise) for half in halves]
-    left = leftover(near.recordings, forces[0], forces[1], quiet, left_over.held, model)
     gap = outcome.level(None)
     effects = _causes(outcome)
     sound = any(not any(v.at_bound for v in cause.parameters.values()) for cause in effects)
     verdict = _verdict(gap, outcome.least_over_floor(), outcome.rare(), named=bool(effects), sound=sound)
-    force = describe(left, model, near.recordings.held) if verdict == "unexplained" else None
+    force = None
+    if verdict == "unexplained":
+        forces = [needed_forces(left_over.fit, half, quiet, outcome.typical, noise) for half in halves]
+        left = leftover(near.recordings, forces[0], forces[1], quiet, left_over.held, model)
+        force = describe(left, model, near.recordings.held)
     ranking = sorted(_tried(outcome), key=lambda c: -c.shrink)
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)

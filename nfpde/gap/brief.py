@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.gap.recordings import Recordings, blocks_of
@@ -42,17 +43,20 @@ def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
 def shorter(windows: Windows, steps: int, most: int) -> Windows:
     """Windows of fewer steps, one after the other in each of the given ones, at most so many evenly over all."""
     count = windows.horizon // steps
-    at = np.arange(count) * steps
+    total = len(windows) * count
+    which, part = np.divmod(np.unique(np.linspace(0, total - 1, min(most, total)).round().astype(int)), count)
     commands, known = np.concatenate([windows.history, windows.ctrl], axis=1), windows.nhistory
     states, before = np.concatenate([windows.past, windows.state], axis=1), windows.past.shape[1]
-    parts = {
-        "state": np.stack([windows.state[:, a : a + steps + 1] for a in at], axis=1),
-        "ctrl": np.stack([windows.ctrl[:, a : a + steps] for a in at], axis=1),
-        "history": np.stack([commands[:, a : a + known] for a in at], axis=1),
-        "past": np.stack([states[:, a : a + before] for a in at], axis=1),
-        "episode": np.repeat(windows.episode[:, None], count, axis=1),
-        "row": windows.row[:, None] + at,
-    }
-    total = len(windows) * count
-    some = np.unique(np.linspace(0, total - 1, min(most, total)).round().astype(int))
-    return replace(windows, **{name: part.reshape(total, *part.shape[2:])[some] for name, part in parts.items()})
+
+    def rows(of: NDArray[np.float64], length: int) -> NDArray[np.float64]:
+        return of[which[:, None], (part * steps)[:, None] + np.arange(length)]
+
+    return replace(
+        windows,
+        state=rows(windows.state, steps + 1),
+        ctrl=rows(windows.ctrl, steps),
+        history=rows(commands, known),
+        past=rows(states, before),
+        episode=windows.episode[which],
+        row=windows.row[which] + part * steps,
+    )

@@ -12,9 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
+from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, all_candidates
+from nfpde.gap.accepted import key
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
+from nfpde.gap.halves import FEWEST
 from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
 from nfpde.gap.replay import Replay
@@ -52,7 +55,8 @@ def diagnose_gap(
         dataset: Recordings of one robot, best several episodes.
         space: Parameters that are free, with bounds; None where the model's own are trusted.
         seed: Decides which episodes are held out, and all draws.
-        windows: Windows used of each half, at most; None: 80 to 160, fewer for models with many degrees of freedom.
+        windows: Windows used of each half, at most, 20 or more; None: 80 to 160, fewer for models with many degrees of
+            freedom.
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
         report: Called with what is being done.
@@ -63,15 +67,20 @@ def diagnose_gap(
     Raises:
         BadModel, BadParameter, BadEffect: What cannot be used, and why.
         BadDataset: Recordings that do not fit the model or are too short.
+        BadInput: A seed, a number of windows or of threads that is none.
     """
     begin = time.monotonic()
+    for name, value, least in (("seed", seed, 0), ("windows", windows, FEWEST), ("nthread", nthread, 0)):
+        if value is not None:
+            check_count(value, name, least)
     mjmodel = load_model(model)
     recall = Recall()
     start = Replay(mjmodel, space, [], nthread, device, recall)
     dataset = start.sim.prepare(dataset)
     computed = check_readings(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
-    candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales)]
+    free = {key(e) for e in start.sim.effects}  # of the space itself, such as friction at a joint that has some
+    candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales) if key(e) not in free]
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
 
     def select(stage: Stage) -> Selection:

@@ -84,4 +84,9 @@ def likeliest_directions(covariance: Array, residuals: Array, floor: Array, plai
         quiet = one.quieten(residuals)
         return one.log_volume + float(learn_scatter(quiet, 0, floor).log_density(quiet).sum())
 
-    return max((plain, *(power(alpha) for alpha in POWERS)), key=likelihood)
+    best, most = plain, likelihood(plain)
+    for alpha in POWERS:  # one at a time: over many windows each of them is large
+        tried = power(alpha)
+        if (likely := likelihood(tried)) > most:
+            best, most = tried, likely
+    return best

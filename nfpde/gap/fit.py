@@ -28,7 +28,7 @@ PRIOR = 0.5
 """Standard deviation of a parameter about the middle of its bounds, as a share of their width: weak, and enough to
 keep what the recordings say nothing about from wandering."""
 
-HEAT, FEWEST = 1 / 4, 20
+PART, FEWEST = 1 / 4, 20
 """Many guesses are first compared on this share of the windows, and on so many at least (successive halving: Karnin,
 Koren and Somekh, ICML 2013)."""
 
@@ -71,6 +71,10 @@ class Fit:
     fresh: int
     known: bool = False
 
+    def some(self, index: NDArray[np.intp]) -> Fit:
+        """The same on some of the windows; cost and information stay those of all."""
+        return replace(self, residuals=self.residuals[index], slopes=self.slopes[:, index])
+
     @property
     def standard_errors(self) -> Array:
         """Of the parameters, in their units (D,), by slopes: a jackknife over windows, taken as independent."""
@@ -106,10 +110,10 @@ class Fitter:
         return replace(self, windows=self.windows[index], noise=noise)
 
     @property
-    def heat(self) -> NDArray[np.intp] | None:
-        """A part of the windows to compare many guesses on first; None where they are few."""
+    def part(self) -> NDArray[np.intp] | None:
+        """Some of the windows, to compare many guesses on first; None where they are few."""
         total = len(self.windows)
-        count = max(math.ceil(HEAT * total), FEWEST)
+        count = max(math.ceil(PART * total), FEWEST)
         return None if 2 * count > total else np.linspace(0, total - 1, count).round().astype(np.intp)
 
     def seen(self, residuals: Array) -> Array:
@@ -152,11 +156,10 @@ class Fitter:
 
     def _ahead(self, replay: Replay, guesses: Array, by: Scatter, count: int, base: Fit | None) -> Array:
         """Guesses that are among the best so many on a part of the windows; all, where the windows are few."""
-        some = self.heat
+        some = self.part
         if some is None:
             return guesses
-        part = base and replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
-        compared = self.some(some)._compared(replay, guesses, by, part)
+        compared = self.some(some)._compared(replay, guesses, by, base and base.some(some))
         return guesses[np.unique([np.argsort(costs, kind="stable")[:count] for costs, _ in compared])]
 
     def _compared(self, replay: Replay, guesses: Array, by: Scatter, base: Fit | None) -> list[tuple[Array, Array]]:

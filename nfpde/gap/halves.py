@@ -43,7 +43,7 @@ class HeldOut:
 
 
 def by_seed(lengths: NDArray[np.intp], steps: int, seed: int) -> HeldOut:
-    """Episodes with about half of the windows; of a single usable one its second half.
+    """Episodes with about half of the windows; the second half of one where the others are too short for that.
 
     Args:
         lengths: Rows of the episodes.
@@ -57,10 +57,14 @@ def by_seed(lengths: NDArray[np.intp], steps: int, seed: int) -> HeldOut:
     order = np.random.default_rng(seed).permutation(usable)
     total = np.cumsum(lengths[order] // steps)
     count = int(np.clip(np.searchsorted(total, total[-1] / 2) + 1, 1, len(order) - 1))
+    fewest = min(int(total[count - 1]), int(total[-1] - total[count - 1]))
+    longest = int(lengths.argmax())
+    if fewest < FEWEST and fewest < int(lengths[longest]) // steps // 2:
+        return HeldOut(usable[:0], longest, (int(lengths[longest]) - 1) // 2)
     return HeldOut(np.sort(order[:count]))
 
 
-def alike_halves(every: Windows, gap: Array, seed: int) -> HeldOut | None:
+def alike_halves(every: Windows, gap: Array, seed: int, longest: Windows) -> HeldOut | None:
     """What to hold out so that both halves show as much of the gap; None where there is too little to choose from.
 
     An effect may show in few episodes only, and must be seen in both halves: in the one that finds it, and in the
@@ -72,6 +76,7 @@ def alike_halves(every: Windows, gap: Array, seed: int) -> HeldOut | None:
         every: Windows of all episodes.
         gap: Of each of them (N,).
         seed: Of the draw.
+        longest: The same recordings in the longest windows, of which either half needs some.
     """
     episodes = np.unique(every.episode)
     if len(episodes) < 3:
@@ -88,9 +93,11 @@ def alike_halves(every: Windows, gap: Array, seed: int) -> HeldOut | None:
     rng = np.random.default_rng(seed)
     pairs = order[: len(order) // 2 * 2].reshape(-1, 2)
     held = HeldOut(np.sort([pair[rng.integers(2)] for pair in pairs]), shared, row)
-    count = int(held.late(every).sum())
-    fewest = max(FEWEST, LEAST_HALF * len(gap))
-    return held if min(count, len(gap) - count) >= fewest else None
+    for windows, fewest in ((every, LEAST_HALF * len(every)), (longest, FEWEST)):
+        late = int(held.late(windows).sum())
+        if min(late, len(windows) - late) < max(FEWEST, fewest):
+            return None
+    return held
 
 
 def _cut(windows: Windows, gap: Array, episode: int) -> int:

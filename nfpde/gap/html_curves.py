@@ -78,13 +78,13 @@ def horizons(report: GapReport) -> str:
     return f'{key([(kind, what) for kind, what, _ in stages])}<div class="panels one">{panel.svg()}</div>'
 
 
-def residual_force(force: ResidualForce, unit: str) -> str:
+def residual_force(force: ResidualForce) -> str:
     """The force left over against position, speed and command, with error bars of one standard error.
 
     Args:
         force: what was found.
-        unit: of the joint's position.
     """
+    unit = "m" if force.unit == "N" else "rad"
     axes = ((f"position [{unit}]", force.position), (f"speed [{unit}/s]", force.speed), ("command", force.command))
     panels = []
     keep = np.isfinite(force.force) & np.isfinite(force.error)
@@ -99,9 +99,9 @@ def residual_force(force: ResidualForce, unit: str) -> str:
                 panel.bar(a, f - e, f + e, "after")
                 panel.dot(a, f, "after", 2.2)
         panels.append(panel.svg())
-    what = f"A smooth force of these three would remove <b>{percent(force.share)}</b> of what is left."
+    what = f"A smooth force of these three and time would remove <b>{percent(force.share)}</b> of what is left."
     if not force.share >= 0.01:
-        what = "A smooth force of these three removes next to nothing of what is left: its cause lies elsewhere."
+        what = "A smooth force of these three and time removes next to nothing of it: its cause lies elsewhere."
     return (
         f"<p>The force on <b>{text(force.joint)}</b> that the model still lacks, one point for each held-out window "
         f"with its standard error. {what}</p>"

@@ -63,7 +63,7 @@ def page(report: GapReport) -> str:
         ("The worst held-out windows, before and after", traces(report)),
     ]
     if (force := report.residual_force) is not None:
-        below.insert(0, ("The force that is left over", residual_force(force, _unit(report.model, force.joint))))
+        below.insert(0, ("The force that is left over", residual_force(force)))
     rest = "".join(f"<section><h2>{title}</h2>{body}</section>" for title, body in below)
     lines = "".join(f"<li>{text(line)}</li>" for line in report.summary)
     return (

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.elements import actuator_ctrls
 from nfpde.gap.noise import Scatter
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.regimes import joint_columns
 from nfpde.gap.report import ResidualForce
-from nfpde.gap.trial import block_test
 from nfpde.gap.where import Forces
 
 Array = NDArray[np.float64]
@@ -28,12 +28,11 @@ class Leftover:
 
     dof: the degree of freedom
     share: of the squared whitened residual beyond noise that it removes there
-    p_value: of its removing nothing
+    held: forces that the held-out windows lack
     """
 
     dof: int
     share: float
-    p_value: float
     held: Forces
 
 
@@ -63,9 +62,8 @@ def leftover(
         b = _features(_inputs(model, recordings.held, int(dof)), knots)
         force = b @ _ridge(a, fit.value[:, dof], fit.error[:, dof])
         after = (noise.whiten(residuals + force[:, None, None] * held.response[dof]) ** 2).sum((1, 2))
-        _, _, p = block_test(before - after, recordings.block)
         beyond = max(float(before.mean()) - residuals[0].size, 1e-300)
-        found = Leftover(int(dof), float((before - after).mean() / beyond), p * model.nv, held)
+        found = Leftover(int(dof), float((before - after).mean() / beyond), held)
         if best is None or found.share > best.share:
             best = found
     if best is None:
@@ -78,7 +76,7 @@ def describe(found: Leftover, model: mujoco.MjModel, windows: Windows) -> Residu
     names, columns = joint_columns(model)
     joint = next(j for j, dofs in enumerate(columns) if found.dof in dofs)
     inputs = _inputs(model, windows, found.dof)
-    unit = "N" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "Nm"
+    unit = "N" if _slides(model, found.dof) else "Nm"
     value, error = found.held.value[:, found.dof], found.held.error[:, found.dof]
     return ResidualForce(names[joint], unit, found.share, inputs[0], inputs[1], inputs[2], value, error)
 
@@ -86,11 +84,31 @@ def describe(found: Leftover, model: mujoco.MjModel, windows: Windows) -> Residu
 def _inputs(model: mujoco.MjModel, windows: Windows, dof: int) -> list[Array]:
     """Position, speed, command and time of every window, for a degree of freedom."""
     joint = int(model.dof_jntid[dof])
-    address = int(model.jnt_qposadr[joint]) + (dof - int(model.jnt_dofadr[joint]))
-    drives = [i for i in range(model.nu) if model.actuator_trnid[i, 0] == joint]
-    command = windows.ctrl[:, :, drives].mean((1, 2)) if drives else np.zeros(len(windows))
-    mean = windows.state.mean(1)
-    return [mean[:, address], mean[:, model.nq + dof], command, windows.row.astype(float)]
+    drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+    commands = windows.ctrl[:, :, actuator_ctrls(model, np.flatnonzero(drives))]
+    command = commands.mean((1, 2)) if commands.size else np.zeros(len(windows))
+    speed = windows.state[:, :, model.nq + dof].mean(1)
+    return [_position(model, windows, dof), speed, command, windows.row.astype(float)]
+
+
+def _position(model: mujoco.MjModel, windows: Windows, dof: int) -> Array:
+    """Mean coordinate of a degree of freedom; of one that turns freely its part of the rotation halfway, from qpos0."""
+    joint = int(model.dof_jntid[dof])
+    if _slides(model, dof) or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+        return windows.state[:, :, int(model.jnt_qposadr[joint]) + (dof - int(model.jnt_dofadr[joint]))].mean(1)
+    out, turned = np.empty(len(windows)), np.empty(model.nv)
+    for n, state in enumerate(windows.state[:, windows.horizon // 2]):
+        mujoco.mj_differentiatePos(model, turned, 1.0, model.qpos0, state[: model.nq])
+        out[n] = turned[dof]
+    return out
+
+
+def _slides(model: mujoco.MjModel, dof: int) -> bool:
+    """Whether a degree of freedom is a distance: of a slide, or one of the first three of a free joint."""
+    joint = int(model.dof_jntid[dof])
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        return dof - int(model.jnt_dofadr[joint]) < 3
+    return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def _knots(inputs: list[Array]) -> list[Array]:

@@ -12,6 +12,7 @@ from nfpde.errors import BadDataset
 from nfpde.gap.halves import FEWEST, HeldOut, by_seed
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 WINDOW_TIME = 0.25
 """Longest window [s]: long enough for a weak force to move the robot, short enough for a prediction to hold."""
@@ -86,32 +87,35 @@ def cut_recordings(
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
     held = by_seed(lengths, steps, seed) if held is None else held
-    # a row apart: the noise of one that ends a window and starts the next would be in both
-    apart = dataset.windows(steps, stride=steps + 1, history=history, past=history)
-    first, second = _halves(apart, lead, held)
-    if min(len(first), len(second)) < FEWEST:  # short recordings cannot spare the rows
-        first, second = _halves(dataset.windows(steps, history=history, past=history), lead, held)
-    for half, name in ((first, "fit"), (second, "hold out")):
+    stride = steps + 1  # a row apart: the noise of one that ends a window and starts the next would be in both
+    chosen = _halves(dataset.windows(steps, stride=stride), lead, held)
+    if min(map(len, chosen)) < FEWEST:  # short recordings cannot spare the rows
+        stride = steps
+        chosen = _halves(dataset.windows(steps), lead, held)
+    for half, name in zip(chosen, ("fit", "hold out"), strict=True):
         if len(half) < FEWEST:
             raise BadDataset(
                 f"the recordings are too short for a diagnosis: {len(half)} windows of {steps} control steps to "
                 f"{name}, at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, "
                 f"best as four or more episodes"
             )
-    first, second = _spread(first, windows), _spread(second, windows)
-    singles = dataset.windows(1, history=history, past=history)
-    inside = np.isin(singles.episode, second.episode) & held.late(singles)
-    rows = singles[np.flatnonzero(inside)[: 20 * windows]]
+    first, second = (
+        dataset.windows(steps, stride=stride, history=history, past=history, at=_spread(half, windows))
+        for half in chosen
+    )
+    singles = dataset.windows(1)
+    inside = np.flatnonzero(np.isin(singles.episode, second.episode) & held.late(singles))
+    rows = dataset.windows(1, history=history, past=history, at=inside[: 20 * windows])
     return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second)
 
 
-def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Windows, Windows]:
-    """Windows to fit and held-out ones."""
-    settled = np.flatnonzero(every.row >= lead)
-    if len(settled) >= (1 - MOST_LEFT_OUT) * len(every):
-        every = every[settled]
+def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Index, Index]:
+    """Indices of windows to fit and of held-out ones."""
+    settled = every.row >= lead
+    if settled.sum() < (1 - MOST_LEFT_OUT) * len(every):
+        settled[:] = True
     late = held.late(every)
-    return every[np.flatnonzero(~late)], every[np.flatnonzero(late)]
+    return np.flatnonzero(settled & ~late), np.flatnonzero(settled & late)
 
 
 def _window_steps(lengths: NDArray[np.intp], control_dt: float) -> int:
@@ -127,8 +131,8 @@ def _horizons(steps: int) -> tuple[int, ...]:
     return tuple(sorted({int(np.clip(h, 1, steps)) for h in wanted}))
 
 
-def _spread(windows: Windows, most: int) -> Windows:
-    """At most `most` windows, evenly over all of them."""
+def _spread(windows: Index, most: int) -> Index:
+    """At most `most` of some windows, evenly over all of them."""
     if len(windows) <= most:
         return windows
     return windows[np.unique(np.linspace(0, len(windows) - 1, most).round().astype(int))]

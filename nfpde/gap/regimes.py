@@ -59,7 +59,7 @@ def _motion(model: mujoco.MjModel, windows: Windows) -> NDArray[np.intp]:
         v = speed[:, :, joint_dofs(model, np.array([j]))]
         size = np.linalg.norm(v, axis=2)
         rest = size.max(1) <= _REST * size.max()
-        turns = (v.min(1) < 0).any(1) & (v.max(1) > 0).any(1)
+        turns = ((v.min(1) < 0) & (v.max(1) > 0)).any(1)
         slow = size.mean(1) < np.sqrt((size**2).mean())
         out[:, j] = np.select([rest, turns, slow], [0, 1, 2], 3)
     return out

@@ -110,7 +110,7 @@ class GapMap:
 
     joints: names (joints,); regimes: names (regimes,)
     share: (joints, regimes)
-    windows: number of held-out windows (joints, regimes)
+    windows: number of windows of both halves (joints, regimes)
     groups: columns of each group by its name, in order; the first is "motion"
     """
 
@@ -159,7 +159,7 @@ class Trace:
 class ResidualForce:
     """A free-form force on one joint that the accepted effects leave over.
 
-    share: of the gap left over that a smooth force of position, speed and command removes, on held-out episodes
+    share: of the gap left over that a smooth force of position, speed, command and time removes, on held-out episodes
     position, speed, command: of every held-out window (windows,); force: its estimate there, error: its standard error
     """
 

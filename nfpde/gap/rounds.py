@@ -16,7 +16,7 @@ from nfpde.gap.recall import Recall
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, screen
-from nfpde.gap.trial import GLANCED, LEAST_GAIN, MANY, SCREENED, Court, Trial
+from nfpde.gap.trial import GLANCED, LEAST_GAIN, MOST_SCREENED, SCREENED, Court, Trial
 from nfpde.gap.twins import find_twins
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
@@ -55,10 +55,10 @@ class Rounds:
         keys = {key(e) for e in taken}
         open_ones = self._open(keys)
         replay_with, replays = self._beside(base)
-        if len(open_ones) > MANY:
+        if len(open_ones) > MOST_SCREENED:
             glanced = self._screen(base, open_ones, replay_with, GLANCED)
             # what contacts do is searched for anyway, see `refit`
-            kept = glanced[:MANY] + [s for s in glanced[MANY:] if s.effect.whole == "contact"]
+            kept = glanced[:MOST_SCREENED] + [s for s in glanced[MOST_SCREENED:] if s.effect.whole == "contact"]
             open_ones = [(s.effect, s.values) for s in kept]
         screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
@@ -71,7 +71,8 @@ class Rounds:
         base = self.court.fitter.linearise(current.fit)
         known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
         replay_with, replays = self._beside(base)
-        more = self._refit(base, find_twins(self.court, base, found, self._open(known), replay_with))
+        twins = find_twins(self.court, base, found, self._open(known), replay_with, touches=self._touches)
+        more = self._refit(base, twins)
         self.count(*replays)
         return more
 

@@ -19,9 +19,10 @@ from nfpde.gap.halves import HeldOut, alike_halves
 from nfpde.gap.recordings import Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
+from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.touching import free_dofs
-from nfpde.gap.trial import Trial
+from nfpde.gap.trial import Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,27 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
+class Earlier:
+    """What a search over all short windows takes from the one over some of them.
+
+    halves: what was held out: what was asked of one pair of halves must not be asked of another until chance says yes
+    early: whether windows start in the first rows of episodes, too
+    misjudged: by how much the noise of the sensors is, see `Stage`
+    xi: the fitted parameters, which were looked for all over their bounds (D,)
+    """
+
+    halves: HeldOut | None
+    early: bool
+    misjudged: Array | float
+    xi: Array
+
+    @classmethod
+    def of(cls, found: Found) -> Earlier:
+        """Of a search that found nothing."""
+        return cls(found.halves, found.early, found.near.misjudged, found.near.base.fit.xi)
+
+
+@dataclass(frozen=True, eq=False)
 class Search:
     """Looks for effects.
 
@@ -77,8 +99,7 @@ class Search:
     select: the selection of a stage
     report: called with what is being done
     most: single control steps of each half, at most, where contacts are
-    before: what an earlier search found: its halves are kept, as what was asked of one pair of halves must not be asked
-        of another until chance says yes, and it knows by how much the noise of the sensors is misjudged
+    before: what an earlier search leaves to this one
     """
 
     start: Replay
@@ -90,7 +111,7 @@ class Search:
     select: Callable[[Stage], Selection]
     report: Callable[[str], None]
     most: int = MOST
-    before: Found | None = None
+    before: Earlier | None = None
 
     @property
     def touches(self) -> bool:
@@ -120,7 +141,8 @@ class Search:
             return stage, found
         if selection.at_floor(final) and not found.every and self._has_more(found.recordings):
             self.report("nothing so far: all short windows")
-            search, steps = replace(self, most=EVERY, before=found), selection.steps
+            search, steps = replace(self, most=EVERY, before=Earlier.of(found)), selection.steps
+            del stage, found, selection, final  # which hold much that is not needed any more
             stage, found = search._to_the_end()
             found.selection.steps += steps
         if not found.accepted and found.near is not stage:  # else all joints together were asked over these windows
@@ -147,7 +169,7 @@ class Search:
         What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
         most for that reason, and the search is run again without them.
         """
-        found = self._run(early=None)
+        found = self._run(early=None if self.before is None else self.before.early)
         if found.early and found.remembers:
             again, steps = self._run(early=False), found.selection.steps
             again.selection.steps += steps
@@ -161,26 +183,12 @@ class Search:
         push on average: near the noise all single steps tell more, and more truly, and what these find stands.
         """
         self.report("fitting the parameters")
-        recordings, lead = self.cut(), None
+        held, recordings, lead, base, court = self._begun(early=early)
         lengths = self._lengths(recordings)
-        base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
-        every = self.cut(0)
-        rows = _history(self.candidates, self.dataset.control_dt)[1]
-        if early is None and begins_worse(base, court, self._lengths(every)[0], rows):
-            recordings, lead, lengths = every, 0, self._lengths(every)
-            base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
-        if self.before is None:
-            held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed)
-        else:
-            held = self.before.halves
-        if held is not None:
-            recordings = self.cut(lead, held)
-            lengths = self._lengths(recordings)
-            base, court = moved_over(base, court, lengths[0])
         whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
-        earlier = None if self.before is None else self.before.near
-        first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=earlier)
+        share = None if self.before is None else self.before.misjudged
+        first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=share)
         selection = replace(self.select(first), last=len(lengths) == 1)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
@@ -189,7 +197,7 @@ class Search:
             self.report("all short windows")
             lengths = brief(recordings, EVERY)
             base, court = moved_over(first.base, court, lengths[0])
-            first = in_noise(base, court, lengths[0], self.seed, whole=whole, before=first)
+            first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=first.misjudged)
             selection = replace(_moved(selection, first), below=True)
         near, selection, final, accepted = self._select(first, selection)
         if selection.below:  # where these ask for nothing, what adds up shows most in the longest
@@ -199,12 +207,15 @@ class Search:
         known = 0
         while known < len(accepted) < MOST_EFFECTS:
             known = len(accepted)
+            if not self._may_hide(near, selection, final):
+                break
             self.report("noise of the sensors")
             if near is not first:  # the parameters had been stuck
                 base, court = moved_over(near.base, court, lengths[0])
-            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole, before=near)
-            if not self._hid(near, first, selection, final):
-                break
+            share = near.misjudged
+            first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole, share=share)
+            if not self.touches and _moved(selection, first).at_floor(first.shown(final, refitted=False)):
+                break  # what was above the noise floor has been asked about, and nothing that was below is above now
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
         for longer in lengths[1:]:
             self.report("longer windows")
@@ -212,6 +223,30 @@ class Search:
             selection = replace(selection, last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0, halves=held, every=hidden)
+
+    def _begun(self, *, early: bool | None) -> tuple[HeldOut | None, Recordings, int | None, Trial, Court]:
+        """What is held out, the longest windows and from which row on, and the fit to the shortest; see `cut`."""
+        if self.before is not None:
+            held, lead = self.before.halves, 0 if early else None
+            recordings = self.cut(lead, held)
+            known = np.vstack([self.guesses, self.before.xi])
+            fitted = first_fit(self.start, self._lengths(recordings)[0], known, capped=self.touches, look=False)
+            return held, recordings, lead, *fitted
+        recordings, lead = self.cut(), None
+        lengths = self._lengths(recordings)
+        base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
+        if early is None:
+            every = self.cut(0)
+            rows = _history(self.candidates, self.dataset.control_dt)[1]
+            if begins_worse(base, court, self._lengths(every)[0], rows):
+                recordings, lead, lengths = every, 0, self._lengths(every)
+                base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
+        longest = joined(recordings.fit, recordings.held)
+        held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed, longest)
+        if held is not None:
+            recordings = self.cut(lead, held)
+            base, court = moved_over(base, court, self._lengths(recordings)[0])
+        return held, recordings, lead, base, court
 
     def over_longest(self, found: Found) -> tuple[Stage, Found]:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
@@ -221,6 +256,7 @@ class Search:
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
+        selection = replace(selection, by_noise={}, scores={})
         final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
         final, accepted = selection.useful(stage.base, final, found.accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
@@ -287,17 +323,16 @@ class Search:
         stage = self.after(first, longer, None)
         return _moved(selection, stage).at_floor(stage.base)
 
-    def _hid(self, near: Stage, anew: Stage, selection: Selection, final: Trial) -> bool:
-        """Whether noise that was believed too large, without what was found (`near`), may have hidden more (`anew`).
+    def _may_hide(self, near: Stage, selection: Selection, final: Trial) -> bool:
+        """Whether noise that was believed too large, without what was found, may have hidden more.
 
-        In smooth motion whatever is above the noise floor has been asked about already: what was below it is asked
-        about where the floor has fallen below it.
+        In smooth motion whatever is above the noise floor has been asked about already.
         """
-        if self.touches:
-            return bool((anew.sigma < QUIETER * near.sigma).any())
-        if not selection.at_floor(final):
-            return False
-        return not _moved(selection, anew).at_floor(anew.shown(final, refitted=False))
+        if not self.touches:
+            return selection.at_floor(final)
+        sigma = sensor_noise(final.fit.replay, final.fit.xi, near.recordings.rows) / near.misjudged
+        selection.count(final.fit.replay)
+        return bool((sigma < QUIETER * near.sigma).any())
 
     def after(
         self,
@@ -321,7 +356,7 @@ class Search:
         fit = before.base.fit
         guesses = np.vstack([self.guesses, fit.xi])
         base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma, dofs=dofs)
-        return in_noise(base, court, longer, self.seed, known, before=before)
+        return in_noise(base, court, longer, self.seed, known, share=before.misjudged)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
@@ -333,9 +368,9 @@ def _remembers(accepted: Sequence[Accepted]) -> bool:
 
 
 def _moved(selection: Selection, near: Stage) -> Selection:
-    """A selection on another stage."""
+    """A selection on another stage, which knows nothing of what was asked about on the one before."""
     sigma = None if selection.sigma is None else near.sigma
-    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma)
+    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma, by_noise={}, scores={})
 
 
 def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:

@@ -232,8 +232,9 @@ class Selection(Acceptance):
 
     def _second_look(self, current: Trial, accepted: list[Accepted], first_gap: float) -> tuple[Trial, list[Accepted]]:
         """Whether an earlier effect still stands, or another takes its place, now that more is explained."""
-        for index in range(len(accepted) - 1):
-            self.report(f"second look at effect {index + 1}")
+        for number, name in enumerate([key(a.effect) for a in accepted[:-1]], 1):
+            self.report(f"second look at effect {number}")
+            index = [key(a.effect) for a in accepted].index(name)  # one that stands goes to the end
             smaller = self.without(current, index)
             others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
             trials = self.again(smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others])

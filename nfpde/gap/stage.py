@@ -176,7 +176,7 @@ def in_noise(
     known: Fit | None = None,
     *,
     whole: bool = False,
-    before: Stage | None = None,
+    share: Array | float | None = None,
 ) -> Stage:
     """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
 
@@ -187,13 +187,12 @@ def in_noise(
         seed: Of the draws of noise.
         known: A model that knows more than the base does: where contacts are, what a model lacks looks like noise.
         whole: Whether noise is followed in all its directions: what that takes grows with the square of the channels.
-        before: An earlier stage, that knows by how much the noise of the sensors is misjudged.
+        share: By how much the noise of the sensors is misjudged, where an earlier stage has found it, see `Stage`.
     """
     known = base.fit if known is None else known
     sigma = sensor_noise(known.replay, known.xi, recordings.rows)
-    share = 1.0 if before is None else before.misjudged
-    if before is None and court.capped:
-        share = misjudged(known.replay, known.xi, recordings.longest, sigma, seed)
+    if share is None:
+        share = misjudged(known.replay, known.xi, recordings.longest, sigma, seed) if court.capped else 1.0
     sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
     court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ POLISHED = 4
 SCREENED, GLANCED = (60, 3 / 8), (20, 1 / 8)
 """Windows that candidates are screened on, and glanced at: at least so many, and this share of all."""
 
-MANY = 24
+MOST_SCREENED = 24
 """Where there are more candidates, all are glanced at, and the best so many screened."""
 
 
@@ -85,7 +85,7 @@ class Court:
         some = np.unique(np.linspace(0, len(self.fitter.windows) - 1, count - count // 2).round().astype(int))
         worst = np.argsort(-(base.scatter.whiten(base.residuals) ** 2).sum((1, 2)), kind="stable")
         some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
-        return self.fitter.some(some), replace(base, residuals=base.residuals[some], slopes=base.slopes[:, some])
+        return self.fitter.some(some), base.some(some)
 
     def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
         """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""

@@ -7,7 +7,6 @@ wrong, or an effect is far larger than what was tried, the cause may rank low, a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +40,8 @@ def find_twins(
     found: Trial,
     candidates: Sequence[tuple[Effect, Array]],
     replay_with: Callable[[Effect], Replay],
+    *,
+    touches: bool,
 ) -> list[Screened]:
     """Candidates that change predictions as an effect does, most alike first, at the size at which they do.
 
@@ -50,12 +51,12 @@ def find_twins(
         found: With it, its effect the last.
         candidates: Others, each with values to try, (K, P).
         replay_with: Makes the replay of the base and one more effect, its parameters last.
+        touches: Whether contacts have a part in it.
     """
     fitter, part = court.screening(base, GLANCED)
-    every, few, touches = _Changes(fitter, part, found), None, court.capped > 0
-    if touches and (some := fitter.heat) is not None:
-        part = replace(part, residuals=part.residuals[some], slopes=part.slopes[:, some])
-        few = _Changes(fitter.some(some), part, found)
+    every, few = _Changes(fitter, part, found), None
+    if touches and (some := fitter.part) is not None:
+        few = _Changes(fitter.some(some), part.some(some), found)
     out = list[Screened]()
     for effect, values in candidates:
         replay = replay_with(effect)

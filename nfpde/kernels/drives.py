@@ -168,17 +168,22 @@ def _widen_error(
     # Out:
     actuator_biasprm_out: wp.array2d[float],
 ):
-    """Dead zone of position servos: what the middle of the error would give is taken off the bias."""
+    """Dead zone of position servos: what the middle of the error would give is taken off the bias.
+
+    Gain times error is what the servo makes of its reading, which effects of encoders have changed in the bias.
+    """
     worldid, i = wp.tid()
     row = world_row_in[worldid]
     if active_in[row, effect_in] == 0:
         return
     actuatorid = actuatorid_in[i]
-    half = float(values_in[row, first_in])
+    k = 10 * actuatorid
     sent = wp.clamp(ctrl_in[worldid, ctrlid_in[i]], low_in[i], high_in[i])
-    error = sent - _own(actuator_gear, worldid, 6 * actuatorid) * qpos_in[worldid, qposid_in[i]]
-    gain = _own(actuator_gainprm, worldid, 10 * actuatorid)
-    actuator_biasprm_out[worldid, 10 * actuatorid] -= gain * wp.clamp(error, -half, half)
+    length = _own(actuator_gear, worldid, 6 * actuatorid) * qpos_in[worldid, qposid_in[i]]
+    gain = _own(actuator_gainprm, worldid, k)
+    force = gain * sent + actuator_biasprm_out[worldid, k] + actuator_biasprm_out[worldid, k + 1] * length
+    most = wp.abs(gain) * float(values_in[row, first_in])
+    actuator_biasprm_out[worldid, k] -= wp.clamp(force, -most, most)
 
 
 @wp.kernel(enable_backward=False)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
+from nfpde.dataset.timing import same_step
 from nfpde.effects import Effect, effects_in
 from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
@@ -113,12 +114,15 @@ class MujocoSimulator(Simulator):
     def substeps(self, control_dt: float) -> int:
         """Physics steps in a control step of control_dt [s].
 
+        A clock may be off by the 0.1 % that `check_against_model` lets pass: a control step is simulated as that many
+        whole physics steps, and what the clock is off by is for the effect `time_scale` to say.
+
         Raises:
             BadInput: it is no multiple of the model's timestep.
         """
         timestep = self.model.opt.timestep
         nsub = round(control_dt / timestep)
-        if nsub < 1 or abs(control_dt - nsub * timestep) > 1e-6 * control_dt:
+        if not same_step(nsub * timestep, control_dt):
             raise BadInput(
                 f"the control step {control_dt:g} s is no multiple of the model's timestep {timestep:g} s; set the "
                 f"timestep to {control_dt / max(1, nsub):g} s or resample the data"
@@ -155,7 +159,7 @@ class MujocoSimulator(Simulator):
             sent = signal
             if sent is None:
                 sent = windows.history[window, windows.nhistory - past :].repeat(nsub, axis=1)
-            for k, (q, v) in enumerate(recorded_motion(self.model, rows, windows.control_dt, nsub)):
+            for k, (q, v) in enumerate(recorded_motion(self.model, rows, nsub)):
                 qpos[:], qvel[:], ctrl[:] = q, v, sent[:, k]
                 before_step.recall(known[:, k // nsub])
         signal = None if signal is None else signal[:, past * nsub :]

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
-from nfpde.errors import BadEffect, BadModel, BadParameter
+from nfpde.errors import BadEffect, BadParameter
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import effect_columns
 from nfpde.sim.fields import array_fields, get_field
+from nfpde.sim.model import compile_file
 from nfpde.sim.writer import ModelWriter
+from nfpde.storage import write_whole
 
 _DIGITS = 1e-4
 """Relative difference that the decimals of an MJCF file may make."""
@@ -36,7 +38,8 @@ def export_mjcf(
 ) -> Path:
     """Write an MJCF file of a model with parameters and effects in it, where MuJoCo has their mechanism.
 
-    What was written is loaded again and compared, number by number, with what the simulators of this package use.
+    What is to be written is loaded and compared, number by number, with what the simulators of this package use; where
+    it differs, a file that is there already stays as it is.
 
     Args:
         model: MJCF or URDF file of the nominal model.
@@ -59,7 +62,8 @@ def export_mjcf(
         `export_mjcf("arm.xml", [effect("viscous_damping", "elbow", damping=(0, 1))], [0.4], "greasy_arm.xml")`
     """
     path, out = Path(model), Path(out)
-    spec, nominal = _compiled(path)
+    spec, nominal = compile_file(path)
+    mujoco.mj_setConst(nominal, mujoco.MjData(nominal))
     xi = np.asarray(values, dtype=np.float64)
     bound = [e.bind(nominal) for e in effects]
     nbase = 0 if space is None else len(space)
@@ -76,21 +80,10 @@ def export_mjcf(
             _WRITERS[field](spec, nominal, target)
     spec.meshdir, spec.texturedir = (str((path.parent / d).resolve()) for d in (spec.meshdir, spec.texturedir))
     spec.compile()
-    out.write_text(spec.to_xml(), encoding="utf-8")
-    _check(out, target, changed)
+    text = spec.to_xml()
+    _check(text, out, target, changed)
+    write_whole(out, text)
     return out
-
-
-def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    if not path.is_file():
-        raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        model = spec.compile()
-    except ValueError as error:
-        raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return spec, model
 
 
 def _refuse_hooks(effect: Effect, values: NDArray[np.float64]) -> None:
@@ -108,19 +101,18 @@ def _changes(nominal: mujoco.MjModel, target: mujoco.MjModel) -> list[str]:
     return [f for f in array_fields(nominal) if not np.array_equal(get_field(nominal, f), get_field(target, f))]
 
 
-def _check(out: Path, target: mujoco.MjModel, changed: list[str]) -> None:
-    """Load the file and compare all that was to change.
+def _check(text: str, out: Path, target: mujoco.MjModel, changed: list[str]) -> None:
+    """Load what the file is to hold and compare all that was to change.
 
     Raises:
         BadParameter: a field that did not arrive.
     """
-    found = mujoco.MjModel.from_xml_path(str(out))
+    found = mujoco.MjModel.from_xml_string(text)
     mujoco.mj_setConst(found, mujoco.MjData(found))
     wrong = [f for f in changed if not f.startswith(_FOLLOW) and not _close(get_field(target, f), get_field(found, f))]
     if not wrong and not _close(_inertias(target), _inertias(found)):
         wrong = ["body_inertia"]
     if wrong:
-        out.unlink()
         raise BadParameter(f"{out}: an MJCF file made from this model cannot hold the changed field {wrong[0]}")
 
 

@@ -27,18 +27,7 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
             qvel, ctrl) do not hold: of actuators, delay buffers, plastic springs, sleeping bodies.
     """
     if isinstance(model, str | Path):
-        where, path = str(model), Path(model)
-        if not path.is_file():
-            raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
-        try:
-            with quiet_mujoco(), warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # compiling a specification, MuJoCo warns through Python
-                spec = mujoco.MjSpec.from_file(str(path))
-                for body in spec.bodies:
-                    body.simple = 0  # a centre of mass that MuJoCo compiled as fixed to a free joint could not be moved
-                loaded = spec.compile()
-        except ValueError as error:
-            raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
+        where, (_, loaded) = str(model), compile_file(Path(model))
     else:
         where, loaded = "model", copy.copy(model)
     if loaded.na:
@@ -70,6 +59,29 @@ def load_model(model: str | Path | mujoco.MjModel) -> mujoco.MjModel:
     # compiled constants may differ from recomputed ones in the last bit; every parameter vector gets recomputed ones
     mujoco.mj_setConst(loaded, mujoco.MjData(loaded))
     return loaded
+
+
+def compile_file(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """What an MJCF or URDF file specifies, and the model of it, in which every centre of mass can be moved.
+
+    Raises:
+        BadModel: no such file, or MuJoCo's own message where it cannot compile it.
+    """
+    if not path.is_file():
+        raise BadModel(f"{path}: no such file; give the path of an MJCF (.xml) or URDF file")
+    try:
+        with quiet_mujoco(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # compiling a specification, MuJoCo warns through Python
+            spec = mujoco.MjSpec.from_file(str(path))
+            own = {body.name for body in spec.bodies if not body.simple}
+            for body in spec.bodies:
+                body.simple = 0  # a centre of mass that MuJoCo compiled as fixed to a free joint could not be moved
+            model = spec.compile()
+            for body in spec.bodies:  # fewer, where MuJoCo fused some
+                body.simple = int(body.name not in own)  # files for other programs say what the model's file said
+            return spec, model
+    except ValueError as error:
+        raise BadModel(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from None
 
 
 def may_collide(model: mujoco.MjModel) -> bool:

@@ -22,7 +22,7 @@ def speed_columns(model: mujoco.MjModel) -> NDArray[np.int32]:
     return columns
 
 
-def recorded_motion(model: mujoco.MjModel, rows: Array, control_dt: float, nsub: int) -> Iterator[tuple[Array, Array]]:
+def recorded_motion(model: mujoco.MjModel, rows: Array, nsub: int) -> Iterator[tuple[Array, Array]]:
     """Positions (R, nq) and velocities (R, nv) at every physics step before the last of the rows.
 
     Hinges and slides follow the cubic through the positions and speeds of neighbouring rows (Hermite), speeds go
@@ -32,10 +32,9 @@ def recorded_motion(model: mujoco.MjModel, rows: Array, control_dt: float, nsub:
     Args:
         model: whose joints they are.
         rows: states of P + 1 recorded rows, the last one the window's start (R, P + 1, nq+nv).
-        control_dt: time from row to row [s].
         nsub: physics steps from row to row.
     """
-    nq, columns = model.nq, speed_columns(model)
+    nq, columns, control_dt = model.nq, speed_columns(model), nsub * float(model.opt.timestep)
     q = np.flatnonzero(columns >= 0)
     speed = columns[q]
     for a, b in zip(rows.swapaxes(0, 1)[:-1], rows.swapaxes(0, 1)[1:], strict=True):

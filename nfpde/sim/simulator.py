@@ -145,7 +145,7 @@ class Simulator(ABC):
         unit = self._check_unit(windows, scale)
         predicted = self.rollout(xi, windows, vector, window)
         difference = self.states.difference(predicted, windows.target[window])
-        return difference.reshape(len(vector), -1) / unit
+        return difference.reshape(len(vector), len(unit)) / unit
 
     def costs(
         self,

@@ -146,7 +146,8 @@ class WarpSimulator(Simulator):
         self._check_windows(windows)
         m, n = len(xi), len(windows)
         if m * n <= SMALL:  # by pairs: batches that other simulators may run, of fewer shapes
-            return self.rollout(xi, windows, *np.divmod(np.arange(m * n), n)).reshape(m, n, -1, self.states.nx)
+            rows = self.rollout(xi, windows, *np.divmod(np.arange(m * n), n))
+            return rows.reshape(m, n, windows.horizon, self.states.nx)
         out = np.empty((m, n, windows.horizon, self.states.nx))
         for vectors, chosen, batch in self._tiles(xi, windows, None):
             out[vectors, chosen] = batch.all_predictions(vectors.stop - vectors.start, chosen.stop - chosen.start)
@@ -165,6 +166,8 @@ class WarpSimulator(Simulator):
         if scale.shape != (self.states.ndiff,) or not (scale > 0).all():
             raise BadInput(f"scale must be {self.states.ndiff} positive numbers, one per channel, got {scale}")
         whole = len(xi), len(windows)
+        if 0 in whole:
+            return wp.array(shape=whole, dtype=wp.float64, device=self.device)
         out: Any = None
         for vectors, chosen, batch in self._tiles(xi, windows, scale):
             part = batch.losses(vectors.stop - vectors.start, chosen.stop - chosen.start)
@@ -174,8 +177,6 @@ class WarpSimulator(Simulator):
                 with room_for(self.device, f"{whole[0]} x {whole[1]} losses"):
                     out = wp.array(shape=whole, dtype=wp.float64, device=self.device)
             wp.copy(out[vectors, chosen], part)
-        if out is None:
-            raise BadInput("no parameter vector, or no window")
         return out
 
     def prepare(self, dataset: Dataset) -> Dataset:
@@ -305,9 +306,8 @@ class WarpSimulator(Simulator):
                 batch = None
             if batch is None:
                 # here the error, and with it all that its frames hold, is gone
-                self._batches.free()
-                if not self._batches.others_freed():
-                    raise out_of_memory(self.device, self._batches.memory, wanted.nworld, self._batches.nbytes(wanted))
+                if not self._batches.made_room(wanted):
+                    raise out_of_memory(self.device, wanted.nworld, self._batches.nbytes(wanted))
                 continue
             if overflow & COLLIDER:
                 raise BadModel(

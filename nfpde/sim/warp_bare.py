@@ -41,7 +41,7 @@ def bare_stepping(
     with wp.ScopedDevice(device):
         m = mjw.put_model(model) if xi is None else _own_rows(simulator, xi, nworld)
         m.opt.warn_overflow = 0
-        d = mjw.make_data(model, nworld=nworld, nconmax=nconmax, njmax=njmax)
+        d = simulator._model.data(nworld, nconmax, njmax)
         qpos = wp.array(windows.start[chosen, : model.nq], dtype=float)
         qvel = wp.array(windows.start[chosen, model.nq :], dtype=float)
         d.ctrl.assign(windows.ctrl[chosen, 0].astype(np.float32))

@@ -87,7 +87,7 @@ class WarpBatch:
             self._layout = model.wide if z.wide else model.narrow
             self.m, self._fields = model.put(self._layout, z.nrow, z.nworld)
             self._seen = {**model.views(self.m, effects.read_fields), **self._fields}
-            self.d = mjw.make_data(model.model, nworld=z.nworld, nconmax=z.nconmax, njmax=z.njmax)
+            self.d = model.data(z.nworld, z.nconmax, z.njmax)
             self.m.callback.passive = flag_overflow
             self._inbox = Inbox((z.nrow, self._layout.width))
             self._staged_rows = self._inbox.array

@@ -99,6 +99,17 @@ class WarpBatches:
         while self.kept:
             self.kept.popitem()[1].free()
 
+    def made_room(self, wanted: Sizes) -> bool:
+        """Give back what is kept for calls of other shapes, or for other simulators' calls if there is none of these.
+
+        Returns:
+            Whether there was anything. What the shape's own batch took is given back as well, and is no more room.
+        """
+        own = any(sizes != wanted and not batch.freed for sizes, batch in self.kept.items())
+        self.free()
+        wp.synchronize_device(self._device)
+        return own or self.others_freed()
+
     def others_freed(self) -> bool:
         """Have the device give back what is kept for other simulators' next calls; whether there was anything."""
         keeping = [b for b in _ALIVE if b is not self and b._device == self._device and b.kept]

@@ -7,6 +7,8 @@ it writes the bounds of geoms as well, which simulators share. So it is not used
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
@@ -19,9 +21,14 @@ DERIVED = frozenset({"body_subtreemass", "body_invweight0", "dof_invweight0", "t
 """Constants that are derived on the device."""
 
 
-def derivable(model: mujoco.MjModel) -> bool:
-    """Whether `WarpConstants` knows all that the constants of a model depend on; else the host derives them."""
-    tendons = (model.tendon_armature != 0).any() or (model.actuator_armature != 0).any()
+def derivable(model: mujoco.MjModel, varying: Collection[str]) -> bool:
+    """Whether `WarpConstants` knows all that the constants of a model depend on; else the host derives them.
+
+    Args:
+        model: the nominal model.
+        varying: fields that are other ones under some parameter vector.
+    """
+    tendons = any(f in varying or getattr(model, f).any() for f in ("tendon_armature", "actuator_armature"))
     adhesion = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_BODY)).any()
     return model.nv > 0 and not (tendons or adhesion or model.nmocap)
 

@@ -84,9 +84,12 @@ def room_for(device: wp.Device, what: str) -> Iterator[None]:
         raise BadInput(f"{device}: no memory for {what} beside the worlds; pass a smaller nworld") from None
 
 
-def out_of_memory(device: wp.Device, memory: int, nworld: int, needed: int) -> BadInput:
-    """The error to raise where the buffers of so many worlds, of so many bytes, could not be allocated."""
-    each = max(1, needed // nworld)
+def out_of_memory(device: wp.Device, nworld: int, needed: int) -> BadInput:
+    """The error to raise where the buffers of so many worlds, of so many bytes, could not be allocated.
+
+    All that was to be given back must have been: worlds that fit are told by the memory that is free now.
+    """
+    memory, each = free_bytes(device), max(1, needed // nworld)
     fitting = max(1, min(memory // each, nworld // 2))
     return BadInput(
         f"{device}: no memory for {nworld} worlds of about {each / 1024:.0f} KiB each; {memory / 2**30:.1f} GiB may be "

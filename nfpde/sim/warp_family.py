@@ -85,7 +85,7 @@ def shared_batch(
 
 def free_shared(device: wp.Device) -> bool:
     """Give back all that a device keeps for whoever comes next; whether there was anything."""
-    kept = _SHARED.pop(device.alias, {})
-    for batch, _ in kept.values():
+    kept = [batch for batch, _ in _SHARED.pop(device.alias, {}).values() if not batch.freed]
+    for batch in kept:
         batch.free()
     return bool(kept)

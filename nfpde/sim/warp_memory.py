@@ -68,7 +68,7 @@ def footprint(model: WarpModel, effects: WarpEffects, space: StateSpace, kind: S
 def passing_bytes(model: WarpModel, sizes: Sizes, nworld: int, device: wp.Device) -> int:
     """The most bytes that a physics step of so many worlds holds at once and gives back."""
     with wp.ScopedDevice(device):
-        d = mjw.make_data(model.model, nworld=nworld, nconmax=sizes.nconmax, njmax=sizes.njmax)
+        d = model.data(nworld, sizes.nconmax, sizes.njmax)
         with counted(device) as counter:
             mjw.step(model.nominal, d)
     return counter.most

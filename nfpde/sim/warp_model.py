@@ -180,6 +180,15 @@ class WarpModel:
             setattr(m, name, wp.clone(getattr(m, name)))
         return m, views
 
+    def data(self, nworld: int, nconmax: int, njmax: int) -> mjw.Data:
+        """State and buffers of so many worlds, on Warp's current device.
+
+        Every constraint may act on all degrees of freedom. In sparse models MuJoCo Warp would count on less, on none
+        for friction that the nominal model lacks, and not always on more where njmax grows.
+        """
+        nnz = njmax * self.model.nv
+        return mjw.make_data(self.model, nworld=nworld, nconmax=nconmax, njmax=njmax, njmax_nnz=nnz)
+
     def views(self, m: mjw.Model, names: list[str]) -> dict[str, wp.array]:
         """Fields of a model of `put`, as (rows, numbers) of floats."""
         return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in names}
@@ -197,7 +206,9 @@ class WarpModel:
 
     def _derived_on_device(self, space: ParameterSpace) -> frozenset[str] | None:
         """Fields that the device derives from those of `written_rows`; None where the host must write all of them."""
-        if self.writer.nbase < len(space) or not derivable(self.model):  # effects may write anything
+        if self.writer.nbase < len(space):  # effects may write anything
+            return None
+        if not derivable(self.model, self.writer.fields):
             return None
         low = self.writer.written_rows(space.low[None])
         rest = {*self.narrow.fields} - low.keys() - {*self.narrow.fixed}
@@ -288,6 +299,14 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
         raise BadModel(
             "MuJoCo Warp cannot run this model: its actuators of type user call functions on the host. Give them "
             "another gaintype and biastype, or use device='cpu'"
+        )
+    passive = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and model.opt.disableflags & passive == passive:
+        # it calls `flag_overflow` after the passive forces, if it computes any; itself it looks at the end of a step
+        raise BadModel(
+            "MuJoCo Warp cannot run this model: springs and dampers are both disabled, and then it does not tell of "
+            "contacts that were left out in the first three evaluations of an RK4 step. Enable one of them (stiffness "
+            "or damping 0 where there is none), take another integrator, or use device='cpu'"
         )
     model = copy.copy(model)
     for friction in (model.geom_friction, model.pair_friction):  # MuJoCo does so in every contact, MuJoCo Warp not
