@@ -1,6 +1,7 @@
 """The episode-level estimator: against closed forms, on robots with known parameters, and its calibration."""
 
 import json
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -189,7 +190,7 @@ def test_tails_are_believed_where_they_pay():
 @pytest.mark.parametrize("degrees", [2.5, 6.0])
 def test_information_in_tails_is_fishers(degrees):
     """Of a location under Student's t: by quadrature of the squared score; the spread is the distribution's own."""
-    n, size, law = 400, 0.3, t(degrees)
+    n, size, law = 400, 0.3, cast(Any, t(degrees))
     draws = size * law.ppf((np.arange(n) + 0.5) / n)  # as t-distributed as 400 numbers can be
     x = np.concatenate([[0.0], np.cumsum(np.random.default_rng(0).permutation(draws))])[:, None]
     space = nfpde.ParameterSpace([nfpde.Parameter("shift", low=-4.0, high=4.0)])

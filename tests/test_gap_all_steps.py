@@ -19,12 +19,6 @@ DELAY = effect("viscous_damping", "along", damping=(0.0, 1.0))
 FOUND: Any = SimpleNamespace(effect=DELAY)
 
 
-class Counted:
-    """A simulator that has simulated a few steps."""
-
-    simulated_steps = 7
-
-
 @pytest.mark.parametrize(
     ("left", "again", "found", "longest", "every", "longer"),
     [
@@ -106,25 +100,3 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
 def test_below_the_floor_of_noise_all_single_steps_are_asked(below, last, accepted, nothing):
     chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), last=last, below=below)
     assert chosen._nothing_left(ANYTHING, accepted) is nothing
-
-
-@pytest.mark.parametrize(
-    ("touches", "now", "at_floor", "asks"),
-    [
-        (True, 0.4, True, True),  # beside contacts what the model lacked looked like noise
-        (True, 0.9, True, False),
-        (False, 0.4, True, True),  # in smooth motion, what was below the floor may be above it now
-        (False, 0.4, False, False),  # what is above it was asked about
-    ],
-)
-def test_what_noise_may_have_hidden_is_asked_about(touches, now, at_floor, asks, monkeypatch):
-    """By the noise of the sensors alone, before anything else is made of the windows."""
-    monkeypatch.setattr("nfpde.gap.search.sensor_noise", lambda replay, xi, rows: np.array([2.0 * now, 2.0]))
-    near: Any = SimpleNamespace(misjudged=2.0, sigma=np.ones(2), recordings=SimpleNamespace(rows=ANYTHING))
-    final: Any = SimpleNamespace(fit=SimpleNamespace(replay=SimpleNamespace(sim=Counted()), xi=ANYTHING))
-    selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2))
-    selection.left = 1.0 if at_floor else 9.0
-    what = [(SOFT, np.ones((1, 2)))] if touches else []
-    search = Search(ANYTHING, ANYTHING, what, np.zeros((1, 0)), 160, 0, ANYTHING, ANYTHING)
-    assert search._may_hide(near, selection, final) is asks
-    assert selection.steps == (7 if touches else 0)

@@ -1,5 +1,6 @@
 """Noise that was believed too large before anything was found, in smooth motion: what it hid is asked about."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,13 @@ from nfpde.gap.trial import Court, Trial
 ANYTHING: Any = None
 
 SHAPE = (60, 2, 4)
+
+
+class Counted:
+    """A simulator that has simulated a few steps."""
+
+    simulated_steps = 7
+
 
 COURT = Court(np.arange(60) // 3, ANYTHING, ANYTHING, np.zeros(SHAPE[1:]), np.zeros(0))
 
@@ -39,7 +47,7 @@ def hid(left: float, before: float, after: float) -> bool:
     search = Search(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 80, 0, ANYTHING, ANYTHING)
     near = stage(before)
     selection = _moved(Selection(ANYTHING, None, 1, COURT, [], yardstick=near.yardstick), near)
-    return search._hid(near, stage(after), selection, trial)
+    return search._may_hide(near, selection, trial) and search._hid(stage(after), selection, trial)
 
 
 @pytest.mark.parametrize(
@@ -57,8 +65,14 @@ def test_a_gap_that_falls_out_of_the_noise_is_asked_about(left, before, after, e
 
 
 @pytest.mark.parametrize(("after", "expected"), [(0.9, False), (0.4, True)])
-def test_beside_contacts_the_sensors_noise_itself_must_have_halved(after, expected):
-    """There floors are known to a factor only."""
+def test_beside_contacts_the_sensors_noise_itself_must_have_halved(after, expected, monkeypatch):
+    """There floors are known to a factor only. The noise is asked before anything else is made of the windows."""
+    monkeypatch.setattr("nfpde.gap.search.sensor_noise", lambda replay, xi, rows: np.array([2.0 * after, 2.0]))
+    near: Any = SimpleNamespace(misjudged=2.0, sigma=np.ones(2), recordings=SimpleNamespace(rows=ANYTHING))
+    final: Any = SimpleNamespace(fit=SimpleNamespace(replay=SimpleNamespace(sim=Counted()), xi=ANYTHING))
     soft = effect("contact_softness", time_constant=(0.001, 0.1), damping_ratio=(0.1, 2.0))
     search = Search(ANYTHING, ANYTHING, [(soft, np.ones((1, 2)))], np.zeros((1, 0)), 80, 0, ANYTHING, ANYTHING)
-    assert search._hid(stage(1.0), stage(1.0, after), ANYTHING, ANYTHING) is expected
+    selection = Selection(ANYTHING, None, 1, COURT, [], yardstick=ANYTHING)
+    assert search._may_hide(near, selection, final) is expected
+    assert selection.steps == 7
+    assert search._hid(ANYTHING, selection, final)

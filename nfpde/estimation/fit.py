@@ -108,8 +108,8 @@ def _fit_transitions(
     quiet: bool,
 ) -> FitResult:
     dt = dataset.control_dt
-    before = {"history": simulator.history_steps(dt), "past": simulator.past_steps(dt)}
-    windows = dataset.windows(config.horizon, stride=1, **before)
+    history, past = simulator.history_steps(dt), simulator.past_steps(dt)
+    windows = dataset.windows(config.horizon, stride=1, history=history, past=past)
     unit = np.ones(simulator.states.ndiff)
     scale = increment_scale(simulator.states, windows) if config.scale == "increment" else unit
 

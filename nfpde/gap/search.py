@@ -214,8 +214,8 @@ class Search:
                 base, court = moved_over(near.base, court, lengths[0])
             share = near.misjudged
             first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole, share=share)
-            if not self.touches and _moved(selection, first).at_floor(first.shown(final, refitted=False)):
-                break  # what was above the noise floor has been asked about, and nothing that was below is above now
+            if not self._hid(first, selection, final):
+                break
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
         for longer in lengths[1:]:
             self.report("longer windows")
@@ -333,6 +333,10 @@ class Search:
         sigma = sensor_noise(final.fit.replay, final.fit.xi, near.recordings.rows) / near.misjudged
         selection.count(final.fit.replay)
         return bool((sigma < QUIETER * near.sigma).any())
+
+    def _hid(self, anew: Stage, selection: Selection, final: Trial) -> bool:
+        """Whether less noise (`anew`) hides less: in smooth motion what was below its floor may be above it now."""
+        return self.touches or not _moved(selection, anew).at_floor(anew.shown(final, refitted=False))
 
     def after(
         self,

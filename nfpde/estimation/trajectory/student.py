@@ -47,7 +47,7 @@ def standard_constant(degrees: ArrayLike, channels: int) -> Array:
     return gammaln((nu + channels) / 2) - gammaln(nu / 2) - 0.5 * channels * np.log(nu * np.pi)
 
 
-def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Student:
+def learn_student(residuals: Sequence[Array], fitted: float, floor: Array) -> Student:
     """Maximum-likelihood noise of the residuals of all robots at their best parameters.
 
     Sensor noise in a window's start spreads over the channels of its end, so the scatter is a full matrix where there
@@ -66,7 +66,7 @@ def learn_student(residuals: Sequence[Array], fitted: int, floor: Array) -> Stud
     return _learned(r, fitted, floor[None], thrifty=True)[0]
 
 
-def learn_students(residuals: Array, fitted: int, floor: Array) -> list[Student]:
+def learn_students(residuals: Array, fitted: float, floor: Array) -> list[Student]:
     """What `learn_student` learns of the residuals of several degrees of freedom, each by itself.
 
     Tails need not pay for themselves: one of the windows that no fit saw, which are judged, may surprise a Gaussian.
@@ -79,7 +79,7 @@ def learn_students(residuals: Array, fitted: int, floor: Array) -> list[Student]
     return _learned(residuals, fitted, floor, thrifty=False)
 
 
-def _learned(residuals: Array, fitted: int, floor: Array, *, thrifty: bool) -> list[Student]:
+def _learned(residuals: Array, fitted: float, floor: Array, *, thrifty: bool) -> list[Student]:
     r = np.moveaxis(residuals / floor, 1, 0)
     known: NDArray[np.bool_] = np.asarray(np.isfinite(r).all(2))
     n, channels = known.sum(1), r.shape[2]
