@@ -71,6 +71,15 @@ SERVOS = DOUBLE_PENDULUM.replace(
 )
 
 
+def equals_its_twin(sim):
+    """Predictions all over the bounds, and at their ends, are those of plain MuJoCo, and differ from each other."""
+    windows = make_windows(sim.model, 4, 5, nsub=4)
+    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
+    expected = sim.reference.predict(xi, windows)
+    assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
+    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+
+
 @pytest.mark.parametrize(
     "name", ["backlash", "dead_zone", "joint_offset", "load_friction", "sensor_scale", "torque_speed"]
 )
@@ -78,11 +87,7 @@ def test_kernel_equals_its_twin_with_servos(name):
     """Position and velocity servos with gears and limits, where the effects act in other ways than with motors."""
     bounds = CASES[name][1]
     sim = WarpSimulator(load(SERVOS), None, [effect(name, "*", **bounds)], device=WARP, check_influence=False)
-    windows = make_windows(sim.model, 4, 5, nsub=4)
-    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
-    expected = sim.reference.predict(xi, windows)
-    assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
-    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+    equals_its_twin(sim)
 
 
 def test_dead_zones_are_about_what_encoders_read():
@@ -90,11 +95,7 @@ def test_dead_zones_are_about_what_encoders_read():
     effects = [effect(name, "shoulder", **CASES[name][1]) for name in ("joint_offset", "sensor_scale")]
     zone = effect("dead_zone", "#0", half_width=(0.0, 0.5))
     sim = WarpSimulator(load(SERVOS), None, [zone, *effects], device=WARP, check_influence=False)
-    windows = make_windows(sim.model, 4, 5, nsub=4)
-    xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
-    expected = sim.reference.predict(xi, windows)
-    assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
-    np.testing.assert_allclose(sim.predict(xi, windows), expected, atol=TOLERANCE)
+    equals_its_twin(sim)
 
 
 def test_a_clock_that_is_a_little_off_changes_nothing():
