@@ -190,6 +190,28 @@ def test_a_world_that_is_wrong_shows_wherever_it_is():
     assert (losses_warp._apart(found, expected, 3) > 0.05).sum() == 1
 
 
+@pytest.mark.parametrize(
+    ("taken", "calls", "told"),
+    [
+        ([0.004] + [0.012] * 10 + [0.008] * 100, 1 + 58, 0.008),
+        ([3.0, 5.0, 4.0, 3.0, 4.0], 1 + 3, 4.0),
+        ([0.1, 0.3, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2], 1 + 7, 0.2),
+    ],
+    ids=["something else ran for the first tenth of a second", "long calls", "the wanted calls take long enough"],
+)
+def test_what_slows_few_calls_down_is_not_told(monkeypatch, taken, calls, told):
+    clock, made = [0.0], []
+
+    def way():
+        clock[0] += taken[len(made)]
+        made.append(taken[len(made)])
+        return len(made)
+
+    monkeypatch.setattr(losses_warp, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    seconds, last = losses_warp._seconds(way, repeats=7)
+    assert (seconds, last) == (pytest.approx(told), calls)
+
+
 def test_from_end_to_end_on_both_devices(monkeypatch, tmp_path, capsys):
     """A row with seconds, answers and verdict for both fits and a diagnosis, each of them run on both devices."""
     small = devices.Sizes(

@@ -1,14 +1,11 @@
 """Simulators of one family run each other's batches: the same bits as with batches of their own."""
 
-import gc
-from typing import Any
-
 import numpy as np
 import pytest
 
 from nfpde.effects import effect
 from nfpde.parameters import Parameter, ParameterSpace
-from nfpde.sim import warp_family, warp_landing, warp_model
+from nfpde.sim import warp_family, warp_model
 from nfpde.sim.warp import WarpSimulator
 from nfpde.sim.warp_batch import WarpBatch
 from tests.device import WARP
@@ -142,35 +139,3 @@ def test_switches_are_looked_up_once(monkeypatch):
     again = arm(at("armature", None))
     assert len(built) == count
     assert again._model.flags == first._model.flags
-
-
-def test_answers_land_in_memory_of_their_own(monkeypatch):
-    """Page-locked buffers are lent: two answers never share one, and one that nobody reads any more comes back."""
-    monkeypatch.setattr(warp_landing, "_free", free := [])
-    monkeypatch.setattr(warp_landing, "_lent", lent := [])
-    monkeypatch.setattr(warp_landing, "MOST_BYTES", 300)
-    real = warp_landing.wp.empty
-    # without a GPU there is no such memory; any other is as good for this
-    monkeypatch.setattr(warp_landing.wp, "empty", lambda n, pinned, **how: real(n, **how))
-
-    def borrow(count) -> Any:
-        buffer = warp_landing._buffer(8 * count)
-        return None if buffer is None else np.asarray(warp_landing._Loan(buffer, (count,), np.float64))
-
-    a, b = borrow(16), borrow(9)
-    a[:], b[:] = 1.0, 2.0
-    assert (a == 1.0).all()
-    assert (b == 2.0).all()
-    assert lent == [128, 128]
-    assert borrow(9) is None
-    address, part = a.ctypes.data, a[3:5]
-    del a
-    gc.collect()
-    assert lent == [128, 128]  # a part of it is still there
-    assert (part == 1.0).all()
-    del part
-    gc.collect()
-    assert (lent, len(free)) == ([128], 1)
-    again = borrow(10)
-    assert again.ctypes.data == address
-    assert free == []

@@ -50,8 +50,9 @@ APART, SOME = 0.01, 1e-3
 """How far a loss may be from double precision, relatively, but for such a part of them: rounding makes some 1e-5, and
 2e-4 in one of a hundred; a foot that meets the ground one step later makes more."""
 
-LONG = 8.0
-"""Seconds after which a call is not repeated again, if it was three times."""
+LONG, ENOUGH = 8.0, 0.5
+"""Seconds after which a call is not repeated again, if it was three times; and that all calls together take at least:
+in less, something else on the machine can slow down more than half of them."""
 
 MEASURE = """
 from nfpde.bench.losses_warp import measure
@@ -92,6 +93,7 @@ def run(quick: bool, out: Path, device: Device) -> None:
         "seed": SEED,
         "vectors": VECTORS,
         "repeats": _repeats(quick),
+        "seconds": ENOUGH,
         "cores": len(os.sched_getaffinity(0)),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "versions": {n: version(n) for n in ("nfpde", "mujoco", "mujoco_warp", "warp-lang", "numpy")},
@@ -229,10 +231,13 @@ def _apart(found: Array, expected: Array, nwindow: int) -> Array:
 
 
 def _seconds(way: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Median wall time of a call, after one that is not counted, of long calls three; and what the last one gave."""
+    """Median wall time of a call, after one that is not counted, and what the last one gave.
+
+    At least `repeats` calls and ENOUGH seconds, but of long calls three.
+    """
     answer = way()
     found: list[float] = []
-    while len(found) < repeats and (len(found) < 3 or sum(found) < LONG):
+    while len(found) < 3 or (sum(found) < LONG and (len(found) < repeats or sum(found) < ENOUGH)):
         begin = time.perf_counter()
         answer = way()
         found.append(time.perf_counter() - begin)
@@ -287,7 +292,8 @@ def _table(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
             f"# Prediction losses on {facts['device']}",
             "",
             f"`{facts['command']}`, seed {facts['seed']}, {facts['vectors']} parameter vectors, median of "
-            f"{facts['repeats']} calls (3 of long ones); {versions}; {facts['machine']}, {facts['cores']} CPU core(s).",
+            f"{facts['repeats']} calls or more, {facts['seconds']:g} s at least (3 calls of long ones); {versions}; "
+            f"{facts['machine']}, {facts['cores']} CPU core(s).",
             "",
             "One evaluation: set a recorded state and command, take one control step (4 or 5 physics steps), add up",
             "the loss; wall clock, from parameters in the host's memory to losses there. Bare: MuJoCo Warp's step",

@@ -19,11 +19,11 @@ from nfpde.parameters import ParameterSpace
 from nfpde.sim.alike import ModelSource
 from nfpde.sim.cpu import MujocoSimulator
 from nfpde.sim.simulator import Array, Simulator, check_rows
+from nfpde.sim.warp_arrays import fetched
 from nfpde.sim.warp_batch import Output, Sizes, WarpBatch
 from nfpde.sim.warp_batches import SMALL, WarpBatches
 from nfpde.sim.warp_device import WarpDevice, open_device, out_of_memory, ran_out, room_for
 from nfpde.sim.warp_effects import WarpEffects
-from nfpde.sim.warp_landing import fetched
 from nfpde.sim.warp_model import WarpModel
 from nfpde.sim.warp_overflow import COLLIDER, CONSTRAINTS, CONTACTS
 from nfpde.sim.warp_sizes import buffer_sizes, cut, longest, power_of_two, roomy
@@ -155,8 +155,7 @@ class WarpSimulator(Simulator):
 
     def losses(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> Array:
         """See `Simulator.losses`; only parameters, windows and losses cross the bus."""
-        found: Any = self.losses_on_device(xi, windows, scale)
-        return fetched(found) if found.is_contiguous else fetched(found.transpose()).T
+        return fetched(self.losses_on_device(xi, windows, scale))
 
     def losses_on_device(self, xi: ArrayLike, windows: Windows, scale: ArrayLike) -> wp.array:
         """See `Simulator.losses_on_device`: the batch's own memory where all pairs run at once."""

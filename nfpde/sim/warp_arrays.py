@@ -9,8 +9,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from nfpde.sim.warp_landing import fetched
-
 
 def arrays_of(thing: Any) -> list[wp.array]:
     """All arrays of a dataclass of Warp's, nested ones included."""
@@ -27,7 +25,17 @@ def arrays_of(thing: Any) -> list[wp.array]:
 def first(array: wp.array, count: int) -> NDArray[Any]:
     """The first rows of an array, without sending the rest; without a GPU they are its own memory."""
     rows: Any = array[:count]
-    return fetched(rows) if rows.device.is_cuda else np.asarray(rows.numpy())
+    return np.asarray(rows.numpy())
+
+
+def fetched(array: wp.array) -> NDArray[Any]:
+    """The values of an array, in memory that is the caller's own; one that lies transposed is sent as it lies."""
+    rows: Any = array
+    turned = not rows.is_contiguous
+    values = np.asarray((rows.transpose() if turned else rows).numpy())
+    # what comes from a GPU is a copy; without one it is the array's own memory
+    own = values if rows.device.is_cuda else values.copy()
+    return own.T if turned else own
 
 
 def fill(array: wp.array, values: NDArray[Any]) -> None:
