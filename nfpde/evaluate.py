@@ -151,10 +151,14 @@ def evaluate(
         SpaceMismatch: A distribution and the truth are about different parameters.
         BadInput: Fewer than 2 samples, or a seed out of range.
     """
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer):
+        raise BadInput(f"samples is {samples!r}; it must be an integer of at least 2")
     if samples < 2:
         raise BadInput(f"samples must be at least 2, got {samples}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+    samples = int(samples)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
+    seed = int(seed)
     space = distribution.space
     space.check_same(truth.space)
     rng = np.random.default_rng(seed)

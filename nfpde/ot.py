@@ -8,6 +8,8 @@ Its dual is max sum_i a[i] alpha[i] + sum_j b[j] beta[j] with alpha[i] + beta[j]
 A plan whose cost equals the value of such potentials is optimal. The solver finds both, checks them in double
 precision over all pairs (on a line along the plan, where the order of the points settles all other pairs), and raises
 `NotOptimal` rather than return a number it cannot prove.
+Costs far beyond those that an optimal plan can pay, found by any plan, are clipped where potentials of their size
+would lose the digits that decide; potentials for the clipped costs prove the plan for the true ones.
 
 Reference: G. Peyre and M. Cuturi, Computational Optimal Transport, 2019, chapters 2 and 3.
 """
@@ -36,6 +38,9 @@ __all__ = ["EmdResult", "Metric", "Plan", "emd", "emd_matrix", "wasserstein"]
 
 Metric = Literal["euclidean", "sqeuclidean", "cityblock"]
 _METRICS = ("euclidean", "sqeuclidean", "cityblock")
+
+#: Whole numbers below this one are floats.
+_LARGEST_WHOLE = 2.0**53
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,8 +75,11 @@ class EmdResult:
         plan: The plan.
         potentials: alpha (n,) and beta (m,), with alpha[i] + beta[j] <= cost[i, j] for every pair up to rounding.
         gap: cost - (a @ alpha + b @ beta), summed from its parts without cancellation: how far at most the cost is
-            above the optimum. At most 1e-12 of the cost; where the dual value is made of far larger numbers, as for
-            clouds that nearly coincide, at most eight units in the last place of those, weighted with their masses.
+            above the optimum. At most 1e-12 of the cost; where the dual value is made of far larger numbers, at most
+            eight units in the last place of those, weighted with their masses. That may be 1e-6 of the cost (counted
+            without signs), or eight units in the last place of the total mass times the largest cost that the plan
+            pays: so little cost clouds that coincide but for the rounding of their weights. What is more is an error,
+            except on a line, where the order of the points proves the plan.
             The optimum is that of the weights to their last bit, those of y taken as shares of the total of x's, so
             that a light point has the mass of its own weight, down to 1e-60 of the total. Whether a difference of
             1e-16 between the sums of heavy weights is meant only the caller can know.
@@ -120,7 +128,7 @@ def emd(
         raise BadInput(f"metric is {metric!r}: choose one of {', '.join(_METRICS)}")
     points_x, points_y = _points(x, y)
     solve = partial(_rust_ot.solve_points, points_x, points_y, metric=metric)
-    return _result((len(points_x), len(points_y)), solve, a, b, threads)
+    return _result((len(points_x), len(points_y)), partial(solve, threads=_threads(threads)), a, b)
 
 
 def emd_matrix(
@@ -145,8 +153,9 @@ def emd_matrix(
         >>> emd_matrix([[0.0, 1.0], [1.0, 0.0]], [0.75, 0.25], [0.5, 0.5]).cost
         0.25
     """
-    costs = _matrix("cost", cost)
-    return _result((len(costs), costs.shape[1]), partial(_rust_ot.solve_matrix, costs), a, b, threads)
+    costs = _matrix("cost", cost, "(rows, columns)")
+    solve = partial(_rust_ot.solve_matrix, costs, threads=_threads(threads))
+    return _result((len(costs), costs.shape[1]), solve, a, b)
 
 
 def wasserstein(
@@ -163,7 +172,8 @@ def wasserstein(
     Args:
         x: Points of the first set, (n, d), any floats; |.| is the Euclidean length.
         y: Points of the second set, (m, d).
-        p: Order, at least 1 and finite.
+        p: Order, at least 1 and finite. Orders other than 1 and 2 keep the costs of all pairs, 8 n m bytes, unless the
+            points lie on a line along an axis.
         a: Weights of x, (n,), not negative; None for equal weights. Weights are divided by their total.
         b: Weights of y, (m,), with the total of a (to 1e-9 relative); None for equal weights.
         threads: Threads that share the passes over all pairs; the answer has the same bits for any number.
@@ -185,18 +195,20 @@ def wasserstein(
     p = float(order)
     points_x, points_y = _points(x, y)
     weights_a, weights_b = _vector("a", a), _vector("b", b)
-    if p == 1:
-        result = emd(points_x, points_y, weights_a, weights_b, threads=threads)
-        return _within_range(result.cost / _total(weights_a, weights_b))
+    points_x, points_y = _apart(points_x, points_y)
     unit = _unit(points_x, points_y)
     points_x, points_y = points_x / unit, points_y / unit
-    if p == 2:
-        result = emd(points_x, points_y, weights_a, weights_b, "sqeuclidean", threads=threads)
+    if p in (1, 2):
+        metric = "euclidean" if p == 1 else "sqeuclidean"
+        result = emd(points_x, points_y, weights_a, weights_b, metric, threads=threads)
+    elif points_x.shape[1] == 1:
+        solve = partial(_rust_ot.solve_numbers, points_x[:, 0], points_y[:, 0], order=p)
+        result = _result((len(points_x), len(points_y)), solve, weights_a, weights_b)
     else:
         result = emd_matrix(_powers(points_x, points_y, p), weights_a, weights_b, threads=threads)
     if result.cost == 0 and not np.array_equal(points_x[result.plan.rows], points_y[result.plan.cols]):
         raise BadInput(f"p is {p:g}: at this order the costs of the plan vanish in double precision; lower p")
-    return _within_range(float((result.cost / _total(weights_a, weights_b)) ** (1 / p)) * unit)
+    return _within_range((result.cost / _total(weights_a, weights_b)) ** (1 / p) * unit)
 
 
 def _points(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -209,11 +221,11 @@ def _points(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
     return points_x, points_y
 
 
-def _matrix(name: str, values: ArrayLike) -> Floats:
+def _matrix(name: str, values: ArrayLike, axes: str = "(points, coordinates)") -> Floats:
     """A checked C-contiguous float64 matrix; no copy where it already is one."""
     array = _floats(name, values)
     if array.ndim != 2:
-        raise BadInput(f"{name} has shape {array.shape}: it must have 2 dimensions, (points, coordinates)")
+        raise BadInput(f"{name} has shape {array.shape}: it must have 2 dimensions, {axes}")
     if 0 in array.shape:
         raise BadInput(f"{name} has shape {array.shape}: it is empty; give at least one row and one column")
     return array
@@ -237,7 +249,21 @@ def _floats(name: str, values: ArrayLike) -> Floats:
         raise BadInput(f"{name} cannot be read as an array on the CPU: {error}") from error
     if array.dtype.kind not in "fiub":
         raise BadInput(f"{name} has dtype {array.dtype}: it must hold real numbers")
-    return np.ascontiguousarray(array, dtype=np.float64)
+    floats = np.ascontiguousarray(array, dtype=np.float64)
+    if array.dtype.kind in "iu":
+        _check_whole(name, array, floats)
+    return floats
+
+
+def _check_whole(name: str, given: NDArray[np.generic], floats: Floats) -> None:
+    """Refuses whole numbers that float64 does not hold: rounded, points that differ would be one."""
+    large = np.argwhere(np.abs(floats) >= _LARGEST_WHOLE)
+    place = next((tuple(at) for at in large.tolist() if int(given[tuple(at)]) != int(floats[tuple(at)])), None)
+    if place is not None:
+        raise BadInput(
+            f"{name}{list(place)} is {given[place]}: float64 does not hold this whole number; subtract an offset "
+            "from all of them, or give floats that may be rounded"
+        )
 
 
 def _threads(threads: int) -> int:
@@ -260,22 +286,37 @@ def _total(a: Floats | None, b: Floats | None) -> float:
     return 1.0 if given is None else math.fsum(given)
 
 
-def _unit(x: Floats, y: Floats) -> float:
-    """A power of two just above the largest distance, to divide by without rounding."""
+def _apart(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """The points in the coordinates in which they differ, at least one: others play no part, however large they are."""
     for name, points in (("x", x), ("y", y)):
         if not np.isfinite(points).all():
             row, column = np.argwhere(~np.isfinite(points))[0]
             raise BadInput(f"{name}[{row}, {column}] is {points[row, column]}: coordinates must be finite")
-    high = np.maximum(x.max(axis=0), y.max(axis=0)) / 2
-    low = np.minimum(x.min(axis=0), y.min(axis=0)) / 2
-    half = float((high - low).max())
+    apart = np.minimum(x.min(axis=0), y.min(axis=0)) < np.maximum(x.max(axis=0), y.max(axis=0))
+    if apart.all():
+        return x, y
+    if not apart.any():
+        return np.zeros((len(x), 1)), np.zeros((len(y), 1))
+    return np.ascontiguousarray(x[:, apart]), np.ascontiguousarray(y[:, apart])
+
+
+def _unit(x: Floats, y: Floats) -> float:
+    """A power of two just above the largest distance, to divide by without rounding."""
+    high, low = np.maximum(x.max(axis=0), y.max(axis=0)), np.minimum(x.min(axis=0), y.min(axis=0))
+    # Halves, because a width may be beyond the range of numbers; but not those of widths at its lower end.
+    half = float((high / 2 - low / 2).max())
+    if half < sys.float_info.min:
+        half = float((high - low).max())
     exponent = math.frexp(half)[1] + 1 + math.ceil(math.log2(x.shape[1]) / 2)
     return 2.0 ** min(max(exponent, -1021), 1023) if half > 0 else 1.0
 
 
 def _powers(x: Floats, y: Floats, p: float) -> Floats:
     """|x[i] - y[j]|^p for every pair, (n, m), from direct differences."""
-    return np.stack([np.linalg.norm(point - y, axis=1) ** p for point in x])
+    costs = np.empty((len(x), len(y)))
+    for out, point in zip(costs, x, strict=True):
+        np.power(np.linalg.norm(point - y, axis=1), p, out=out)
+    return costs
 
 
 def _result(
@@ -283,8 +324,7 @@ def _result(
     solve: Callable[..., tuple[float, NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats, float]],
     a: ArrayLike | None,
     b: ArrayLike | None,
-    threads: int,
 ) -> EmdResult:
     """Solves for checked weights and names the parts of the answer."""
-    cost, rows, cols, mass, alpha, beta, gap = solve(a=_vector("a", a), b=_vector("b", b), threads=_threads(threads))
+    cost, rows, cols, mass, alpha, beta, gap = solve(a=_vector("a", a), b=_vector("b", b))
     return EmdResult(cost, Plan(rows, cols, mass, shape), (alpha, beta), gap)

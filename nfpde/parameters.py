@@ -96,8 +96,10 @@ class Parameter:
         for key in ("relative", "scale_inertia"):
             if not isinstance(getattr(self, key), bool):
                 raise BadParameter(f"parameter {self.name!r}: {key} must be true or false, got {getattr(self, key)!r}")
-        if isinstance(self.component, bool) or not isinstance(self.component, int) or self.component < 0:
-            raise BadParameter(f"parameter {self.name!r}: component must be an integer >= 0, got {self.component!r}")
+        component: Any = self.component
+        if isinstance(component, bool) or not isinstance(component, int | np.integer) or component < 0:
+            raise BadParameter(f"parameter {self.name!r}: component must be an integer >= 0, got {component!r}")
+        object.__setattr__(self, "component", int(component))
         self._check_bounds()
 
     def _check_target(self) -> str:

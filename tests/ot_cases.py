@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 from scipy.spatial.distance import cdist
 
@@ -69,3 +71,19 @@ def least_size(alpha: np.ndarray, beta: np.ndarray, a: np.ndarray, b: np.ndarray
     half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
     median = places[order[min(half, len(order) - 1)]]
     return float(weights @ np.abs(places - median))
+
+
+def unproven(result: EmdResult, cost: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[Fraction, Fraction]:
+    """Cost above the value of the potentials: as they are, and lowered on one side until they fit every pair."""
+    left, right = [Fraction(w) for w in a], [Fraction(w) for w in b]
+    right = [w * sum(left) / sum(right) for w in right]  # the columns' weights are shares of the rows' total
+    alpha, beta = ([Fraction(p) for p in side] for side in result.potentials)
+    exact = [[Fraction(c) for c in row] for row in cost]
+    lower_alpha = [min(c - v for c, v in zip(row, beta, strict=True)) for row in exact]
+    lower_beta = [min(row[j] - u for row, u in zip(exact, alpha, strict=True)) for j in range(len(beta))]
+
+    def value(u: list[Fraction], v: list[Fraction]) -> Fraction:
+        return sum((w * p for w, p in zip(left + right, u + v, strict=True)), Fraction(0))
+
+    bound = max(value(lower_alpha, beta), value(alpha, lower_beta))
+    return Fraction(result.cost) - value(alpha, beta), Fraction(result.cost) - bound

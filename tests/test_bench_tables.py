@@ -46,6 +46,11 @@ def test_what_is_wanted_is_said_with_its_worst_case():
     assert "| every case | 1x POT and SciPy | 2.00x (SciPy, one) | pass |" in lines
     assert "| big | 12 s, 100 MB | 11.0 s, 120 MB | FAIL |" in lines
     assert len(lines) == 3  # nothing is said of what was not measured
+    large = [large[0] | {"megabytes": float("nan"), "seconds": seconds} for seconds in (11.0, 13.0)]
+    assert verdicts([], large) == [
+        "| big | 12 s, 100 MB | 11.0 s, not measured | not measured |",
+        "| big | 12 s, 100 MB | 13.0 s, not measured | FAIL |",
+    ]
 
 
 def test_threads_are_timed_and_change_no_bit():
@@ -115,18 +120,37 @@ def test_clouds_are_what_the_case_says(case):
         assert (x == np.round(x)).all()
 
 
-def test_fit_table_keeps_finished_cells(tmp_path, monkeypatch):
-    """A second call finds its cells done and fits nothing; other settings start afresh."""
+def test_fits_go_on_where_they_were_stopped(tmp_path, monkeypatch):
+    """A cell that was fitted before the interruption is not fitted again; other code and other devices start afresh."""
     tiny = NfpdeConfig(iterations=1, samples=10, transitions=4, transforms=2, hidden=8, gradient_steps=1)
     monkeypatch.setattr(fit_bench, "NfpdeConfig", lambda **_: tiny)
     monkeypatch.setattr(fit_bench, "CELLS", (("softmax", "flow"), ("cai", "flow")))
-    fitted = []
+    fitted, last = [], [3]
     real = fit_bench.fit
-    monkeypatch.setattr(fit_bench, "fit", lambda *a, **k: fitted.append(k["method"]) or real(*a, **k))
+
+    def fit(*arguments, method, **options):
+        fitted.append(method)
+        if len(fitted) == last[0]:
+            raise KeyboardInterrupt
+        return real(*arguments, method=method, **options)
+
+    monkeypatch.setattr(fit_bench, "fit", fit)
+    with pytest.raises(KeyboardInterrupt):
+        fit_bench.run(True, tmp_path)
+    last[0] = 6
+    with monkeypatch.context() as patch:
+        patch.setattr(fit_bench, "code_of", lambda *_: "other")
+        with pytest.raises(KeyboardInterrupt):
+            fit_bench.run(True, tmp_path)
+    assert fitted == ["softmax", "softmax", "cai"] * 2, "nothing of the first call has a place in the second"
+    del fitted[:]
+    last[0] = 3
+    with pytest.raises(KeyboardInterrupt):
+        fit_bench.run(True, tmp_path)
     fit_bench.run(True, tmp_path)
-    assert fitted == ["softmax", "softmax", "cai", "cai"]
-    fit_bench.run(True, tmp_path)
-    assert len(fitted) == 4
+    assert fitted == ["softmax", "softmax", "cai", "cai", "cai"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["fit_quick.json", "fit_quick.md"]
+    last[0] = 0
     table = (tmp_path / "fit_quick.md").read_text()
     assert table.count("| gaussian | 0 |") == table.count("| mixture | 0 |") == 2
     monkeypatch.setattr(fit_bench, "facts_of_device", lambda body, device: {"device": f"{device}: MuJoCo Warp"})

@@ -18,12 +18,12 @@ def along(time, name="a"):
 
 
 def test_resample_by_hand():
-    """Rows at 0, 0.5, 2 resampled to 1: midway values are interpolated and the command before is held."""
+    """Rows at 0, 0.5, 2 resampled to 1: midway values are interpolated; commands 0 and 1 share the first step."""
     new = resample_episode(along([0, 0.5, 2]), 1.0)
     assert_array_equal(new.time, [0, 1, 2])
     assert_allclose(new.qpos[:, 0], [1, 3, 5], rtol=1e-15)  # a straight line: only rounding
     assert_allclose(new.qvel[:, 0], [0, -1, -2], rtol=1e-15)
-    assert_array_equal(new.ctrl[:, 0], [0, 1, 2])
+    assert_array_equal(new.ctrl[:, 0], [0.5, 1, 2])
 
 
 @given(
@@ -32,8 +32,11 @@ def test_resample_by_hand():
     start=st.floats(-5, 5),
 )
 @settings(max_examples=80, deadline=None)
-def test_resampling_keeps_straight_lines_and_holds_commands(steps, control_dt, start):
-    """Linear signals stay linear at even times; each command is the last one recorded at or before its row."""
+def test_resampling_keeps_straight_lines_and_what_commands_do(steps, control_dt, start):
+    """Linear signals stay linear at even times; commands, each until the next, keep their time integral.
+
+    Where one acts from a row to the next, the row has exactly that one.
+    """
     old = along(start + np.concatenate([[0], np.cumsum(steps)]))
     new = resample_episode(old, control_dt)
     assert_allclose(np.diff(new.time), control_dt, rtol=1e-9)  # times up to 50 s: rounding 1e-14 of steps of 0.1 s
@@ -41,8 +44,16 @@ def test_resampling_keeps_straight_lines_and_holds_commands(steps, control_dt, s
     assert new.time[-1] <= old.time[-1] + 1e-9
     assert_allclose(new.qpos[:, 0], 2 * new.time + 1, rtol=0, atol=1e-8)  # values up to 110
     assert_allclose(new.qvel[:, 0], -new.time, rtol=0, atol=1e-8)
-    held = [max(r for r in range(len(old)) if old.time[r] <= t + 1e-6 * control_dt) for t in new.time]
-    assert_array_equal(new.ctrl[:, 0], held)
+    sums = np.concatenate([[0], np.cumsum(old.ctrl[:-1, 0] * np.diff(old.time))])
+    # what is within a millionth of a step of a new row counts as on it, at both ends: commands up to 30
+    assert_allclose(
+        new.ctrl[:-1, 0] * control_dt, np.diff(np.interp(new.time, old.time, sums)), rtol=0, atol=1e-4 * control_dt
+    )
+    shift = 1e-6 * control_dt
+    first, last = (np.searchsorted(old.time, t, side="right") - 1 for t in (new.time + shift, new.time[1:] - shift))
+    one = first[:-1] == last
+    assert_array_equal(new.ctrl[:-1, 0][one], first[:-1][one])
+    assert new.ctrl[-1, 0] == first[-1]
     assert Dataset([new]).control_dt == pytest.approx(control_dt, rel=1e-9)
 
 
@@ -60,6 +71,29 @@ def test_resampling_an_even_recording_to_its_own_step_changes_nothing():
         assert_array_equal(new.ctrl, old.ctrl)
         assert_allclose(new.qpos, old.qpos, rtol=0, atol=1e-8)  # a clock at 1e6 s rounds to 1e-10 s
         assert_allclose(new.qvel, old.qvel, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("jitter", [0.02, 0.2, 0.45])
+def test_a_jittering_clock_makes_no_command_late(jitter):
+    """A velocity that is the integral of the command changes from row to row by exactly what the rows command."""
+    rng = np.random.default_rng(3)
+    n, dt = 500, 0.01
+    time = dt * (np.arange(n) + rng.uniform(-jitter, jitter, n))
+    ctrl = np.repeat(rng.normal(size=(n // 4, 2)), 4, axis=0)
+    speed = np.concatenate([np.zeros((1, 2)), np.cumsum(ctrl[:-1] * np.diff(time)[:, None], axis=0)])
+    new = resample_episode(Episode("a", time, 0 * speed, speed, ctrl), dt)
+    assert_allclose(np.diff(new.qvel, axis=0), dt * new.ctrl[:-1], rtol=0, atol=1e-14)  # sums of 500 in float64
+
+
+def test_one_command_all_the_way_is_the_recorded_one_bit_for_bit():
+    """A command that is sent again in between, or whose row is a rounding error off, is not averaged."""
+    time = 1e-2 * np.arange(40) + np.where(np.arange(40) % 3, 0.2e-8, -0.2e-8)
+    value = np.where(np.arange(40) % 2, 0.1, -0.0)[:, None]
+    old = Episode("a", time - time[0], value, value, np.hstack([value, np.full((40, 1), 0.7)]))
+    for new in (resample_episode(old, 0.01), resample_episode(old, 0.005)):
+        row = np.minimum(np.round(new.time / 0.01 - 0.1).astype(int), 39)
+        assert new.ctrl.tobytes() == old.ctrl[row].tobytes()
+    assert_array_equal(resample_episode(old, 0.013).ctrl[:, 1], 0.7)
 
 
 def test_quaternions_turn_at_constant_rate():

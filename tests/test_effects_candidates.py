@@ -1,6 +1,7 @@
 """Where and in which sizes a diagnosis tries effects, counted in the scales of the recordings."""
 
 import copy
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -75,6 +76,20 @@ def test_bounds_and_screened_values(robot):
         assert 1 <= len(values) <= 20, e.name
         assert ((low < values) & (values < high)).all(), (e.name, e.target)
         assert len(np.unique(values, axis=0)) == len(values), e.name
+
+
+MAGNITUDES = ("control_dt", "position", "speed", "acceleration", "force actuator_force actuator_peak", "ctrl", "length")
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_no_magnitude_leads_beyond_what_physics_allows(robot, factor):
+    """A robot that hardly moves, or that is huge: bounds are cut to what an effect's parameters may be."""
+    _, model, _, scales = robot
+    for names in MAGNITUDES:
+        other = replace(scales, **{name: factor * getattr(scales, name) for name in names.split()})
+        for e in all_candidates(model, other):
+            for p, q in zip(e.parameters, e.quantities, strict=True):
+                assert q.low <= p.low < p.high <= q.high, (names, p.name)
 
 
 def test_every_candidate_shows(robot):
@@ -211,3 +226,27 @@ def test_an_own_effect_is_tried_by_its_default_bounds(monkeypatch):
     values = found[0].screened(scales)
     assert (np.diff(values[:, 0]) > 0).all()
     assert 0 < values.min() < 0.2 < 0.5 < values.max() < 2
+
+
+@pytest.mark.parametrize(
+    ("bounds", "tried"),
+    [((-1.0, 2.0), (0.0, 2.0)), ((5.0, 50.0), (5.0, 10.0)), ((20.0, 30.0), None), ((-2.0, 0.0), None)],
+)
+def test_bounds_beyond_physics_are_cut(monkeypatch, bounds, tried):
+    """To what is allowed; where nothing is left, there is no candidate."""
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
+
+    @register
+    class Buzz(Effect):
+        name = "buzz"
+        kind = None
+        quantities = (Quantity("size", "Nm", 0.0, 10.0, neutral=0.0),)
+        sentence = "It buzzes."
+
+        @classmethod
+        def bounds_for(cls, model, element, scales):
+            return {"size": bounds}
+
+    model = load_model(load(DOUBLE_PENDULUM))
+    found = Buzz.candidates(model, DataScales.of(model, record(model, 1, 20, 4)))
+    assert [(e.parameters[0].low, e.parameters[0].high) for e in found] == ([] if tried is None else [tried])

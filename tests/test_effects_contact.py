@@ -6,9 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from nfpde.effects import DataScales, all_candidates
 from nfpde.errors import BadEffect
+from nfpde.sim import load_model
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, replaced, rows_are_apart, same_as
-from tests.models import BLOCK, load, make_windows, with_arrays
+from tests.models import BLOCK, load, make_windows, record, with_arrays
 
 PAIRED = BLOCK.replace(
     "<actuator>",
@@ -211,6 +213,29 @@ def test_effects_of_the_ground_need_one(name):
     for xml in (SERVO_ARM, apart):
         with pytest.raises(BadEffect, match="nothing in this model can touch the world"):
             make(name, None, xml, **bounds[name])
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "column"),
+    [
+        ('solref="0.02 0.01"', "contact_softness", 1),
+        ('solref="0.000011 1"', "contact_softness", 0),
+        ('friction="0.02"', "ground_friction", 0),
+        ('friction="0"', "ground_friction", 0),
+    ],
+)
+def test_what_is_unusual_in_the_model_is_among_what_is_tried(what, name, column):
+    """Contacts that bounce, are very stiff, or slippery as no ice: nominal between the bounds, and no value twice."""
+    xml = BLOCK.replace('friction="0.2 0.005 0.0001"', what).replace('friction="0.5 0.005 0.0001"', what)
+    model = load_model(load(xml))
+    scales = DataScales.of(model, record(model, 1, 40, 4))
+    (tried,) = (e for e in all_candidates(model, scales) if e.name == name)
+    own, bounds = tried.quantities[column].neutral, tried.parameters[column]
+    assert own == pytest.approx(max(float(what.split('"')[1].split()[column]), mujoco.mjMINMU))
+    assert bounds.low < own < bounds.high
+    values = tried.screened(scales)
+    assert len(np.unique(values, axis=0)) == len(values)
+    assert ((bounds.low < values[:, column]) & (values[:, column] < bounds.high)).all()
 
 
 def test_ground_friction_keeps_contacts_among_moving_parts_where_it_rises():

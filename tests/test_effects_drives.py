@@ -239,6 +239,20 @@ def test_backlash_keeps_momentum():
     np.testing.assert_allclose(speed[:, -1], 0.0005 * (100 - 300) / 0.2, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("where", PLANTS)
+def test_a_rotor_is_moved_by_the_time_step_of_its_joint(where):
+    """Beside `time_scale` each row is that of a model compiled with the row's own time step, bit for bit."""
+    effects = [effect("backlash", "elbow_motor", width=(0, 0.3)), effect("time_scale", ratio=(0.8, 1.25))]
+    sim = MujocoSimulator(plant(where), None, effects, check_influence=False)
+    windows = make_windows(sim.model, 3, 12, nsub=4)
+    predicted = sim.predict([[0.1, 1.25], [0.1, 0.8]], windows)
+    for ratio, rows in zip((1.25, 0.8), predicted, strict=True):
+        other = plant(where)
+        other.opt.timestep *= ratio
+        slower = with_arrays(windows, control_dt=ratio * windows.control_dt)
+        np.testing.assert_array_equal(simulator(other, *PLAY[:2]).predict([[0.1]], slower)[0], rows)
+
+
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 def test_backlash_is_stable_with_stiff_servos(integrator):
     """A servo that MuJoCo can hold the wheel with, but that is too stiff for the bare rotor: kv dt / J > 2."""

@@ -170,3 +170,43 @@ CART = """
   <body><joint name="pole" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .5" size=".02" mass=".2"/></body>
 </body></worldbody><actuator><motor name="push" joint="rail"/></actuator></mujoco>
 """
+
+
+FLOATING = """
+<mujoco>
+  <worldbody>
+    <body name="trunk" pos="0 0 1">
+      <freejoint name="root"/>
+      <geom size="0.1"/>
+      <body pos="0.2 0 0"><joint name="ball" type="ball"/><geom type="capsule" fromto="0 0 0 0.1 0 -0.3" size="0.03"/>
+        <body pos="0.1 0 -0.3"><joint name="knee" axis="0 1 0"/><geom size="0.03" pos="0 0 -0.2"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+"""A trunk in the air, with a ball joint and a hinge."""
+
+BEARINGS = [
+    (name, bounds, values[-1])
+    for name, bounds, values in JOINT_EFFECTS
+    if name not in ("joint_spring", "load_friction")
+]
+
+
+@pytest.mark.parametrize(("name", "bounds", "values"), BEARINGS)
+def test_all_joints_are_those_with_a_bearing(name, bounds, values):
+    """With "*" nothing holds the trunk by the air: the same as to name every joint but the free one."""
+    every, named = (make(name, target, FLOATING, **bounds) for target in ("*", ("ball", "knee")))
+    np.testing.assert_array_equal(every.effects[0].dofs, 6 + np.arange(4))
+    windows = make_windows(every.model, 2, 6, nsub=4)
+    np.testing.assert_array_equal(every.predict([values], windows), named.predict([values], windows))
+
+
+@pytest.mark.parametrize(("name", "bounds", "values"), BEARINGS)
+def test_a_free_joint_has_no_bearing(name, bounds, values):
+    """By name, among others, or as the only joint there is, it is an error."""
+    alone = FLOATING[: FLOATING.index('<body pos="0.2')] + "</body></worldbody></mujoco>"
+    for target, xml in (("root", FLOATING), (("root", "knee"), FLOATING), ("*", alone)):
+        with pytest.raises(BadEffect, match=rf"{name} on .*: it needs hinges, slides or balls, .* a free joint has no"):
+            make(name, target, xml, **bounds)

@@ -67,6 +67,9 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
         def after(self, before, longer, known, **options) -> Any:
             return stage(longer)
 
+        def _history(self):
+            return 0, 0
+
         def _may_hide(self, near, selection, final):
             return False
 

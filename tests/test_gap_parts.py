@@ -1,5 +1,6 @@
 """The parts of the diagnosis, each against mathematics or another implementation."""
 
+import json
 import tracemalloc
 from dataclasses import replace
 from typing import Any
@@ -22,6 +23,7 @@ from nfpde.gap.screen import screen
 from nfpde.gap.trial import block_test
 from nfpde.gap.where import needed_forces
 from nfpde.parameters import Parameter, ParameterSpace
+from tests.gap_reports import arm, gap_report
 from tests.gap_systems import nominal, record
 
 ANYTHING: Any = None
@@ -296,3 +298,10 @@ def test_memory_is_that_of_the_windows_that_are_used():
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.5 * peaks[0]
+
+
+def test_names_of_episodes_are_kept(tmp_path):
+    """Numbers as the recordings' files have them; what is no number, or is written in another way, stays text."""
+    names = ["7", "007", "²", "12", "a"]
+    report = replace(gap_report(arm(), "effects"), held_out_episodes=names)
+    assert json.loads(report.save(tmp_path).read_text())["held_out_episodes"] == [7, "007", "²", 12, "a"]

@@ -269,3 +269,22 @@ def test_what_is_said_of_speeds_that_nobody_measured():
 
 def elbow_by_difference(qpos, qvel):
     qvel[:, 1] = np.gradient(qpos[:, 1], 0.01)
+
+
+def test_a_throw_keeps_its_speed():
+    """Nothing pushes a ball sideways in flight: a speed that stands still and explains the way is no dead one."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body pos="0 0 1"><freejoint name="ball"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    data, rows = mujoco.MjData(model), 100
+    data.qvel[:] = [1.3, 0, 4, 0, 0, 0]
+    qpos, qvel = np.empty((rows, 7)), np.empty((rows, 6))
+    for row in range(rows):
+        qpos[row], qvel[row] = data.qpos, data.qvel
+        mujoco.mj_step(model, data, 5)
+    time = 0.01 * np.arange(rows)
+    check_readings(model, Dataset([Episode("0", time, qpos, qvel, np.zeros((rows, 0)))]))
+    dead = qvel.copy()
+    dead[:, 0] = 0.4
+    with pytest.raises(BadDataset, match=r"ball\.x: its qpos changes while its qvel stands still at 0\.4"):
+        check_readings(model, Dataset([Episode("0", time, qpos, dead, np.zeros((rows, 0)))]))

@@ -99,6 +99,8 @@ def test_matrix():
         emd_matrix(_spoil(np.ones((3, 4)), (1, 2), np.nan))
     with pytest.raises(BadInput, match=r"cost has shape \(0, 4\)"):
         emd_matrix(np.ones((0, 4)))
+    with pytest.raises(BadInput, match=r"cost has shape \(2,\): it must have 2 dimensions, \(rows, columns\)"):
+        emd_matrix([1.0, 2.0])
 
 
 @pytest.mark.parametrize(

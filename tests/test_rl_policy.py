@@ -1,6 +1,7 @@
 """Policies on their own: the same actions as Stable-Baselines3's actor, files, refusals; evaluation of policies."""
 
 import json
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -182,6 +183,10 @@ def test_evaluation_refuses():
     """Too few episodes, a source without its space, and simulations that blow up, which have no return."""
     with pytest.raises(BadInput, match="at least 2"):
         evaluate_policy(lambda o: o[2:], "pendulum", [[1.0]], space=SPACE, episodes=1)
+    seeds: tuple[Any, ...] = (-1, 0.5, True)
+    for seed in seeds:
+        with pytest.raises(BadInput, match=f"seed is {seed}; it must be a whole number, at least 0"):
+            evaluate_policy(lambda o: o[2:], "pendulum", [[1.0]], space=SPACE, seed=seed)
     with pytest.raises(BadInput, match="without a space"):
         evaluate_policy(lambda o: o[2:], "pendulum", [[1.0]])
     with pytest.raises(BadInput, match="space for an evaluation on the nominal"):

@@ -235,9 +235,10 @@ def test_missing_transitions_are_refused(tmp_path):
     train(tmp_path, 320)
     first, second = sorted((tmp_path / "replay").iterdir())
     whole = second.read_bytes()
-    second.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(BadInput, match=f"{second.name} is damaged"):
-        train(tmp_path)
+    for kept in (len(whole) // 2, 0):
+        second.write_bytes(whole[:kept])
+        with pytest.raises(BadInput, match=f"{second.name} is damaged"):
+            train(tmp_path)
     first.unlink()
     with pytest.raises(BadInput, match="transitions 0 to 320 are missing"):
         train(tmp_path)

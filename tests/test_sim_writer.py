@@ -209,7 +209,7 @@ def test_nominal_values_are_the_nominal_model():
             Parameter("dof_frictionloss", "elbow", 0, 1, relative=True),
             "the model's own value is 0, so it cannot be scal",
         ),
-        (Parameter("body_mass", "world", 0, 1), "a mass without inertia: set scale_inertia=False or give the body a"),
+        (Parameter("body_mass", "world", 0, 1), "no inertia that could be scaled along: world. Name the other"),
     ],
 )
 def test_unusable_parameters_are_refused(parameter, text):

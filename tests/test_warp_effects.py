@@ -110,6 +110,13 @@ def test_a_clock_that_is_a_little_off_changes_nothing():
 
 
 @pytest.mark.parametrize("xml", [DOUBLE_PENDULUM, SERVOS], ids=["motors", "servos"])
+def test_rotors_are_moved_by_the_time_steps_of_their_rows(xml):
+    """Backlash beside a clock that runs wrong, in every row by its own ratio."""
+    effects = [effect("backlash", "*", width=(0.0, 0.1)), effect("time_scale", ratio=(0.8, 1.25))]
+    equals_its_twin(WarpSimulator(load(xml), None, effects, device=WARP, check_influence=False))
+
+
+@pytest.mark.parametrize("xml", [DOUBLE_PENDULUM, SERVOS], ids=["motors", "servos"])
 def test_rotors_are_where_the_recording_took_them(xml):
     """Backlash, behind late commands and beside an encoder that is off, through the recorded motion before windows."""
     model = load(xml)

@@ -6,7 +6,6 @@ The losses of a batch have a table of their own, `nfpde bench losses --device`, 
 from __future__ import annotations
 
 import json
-import os
 import platform
 import tempfile
 import time
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from nfpde.bench import losses_warp
+from nfpde.bench.code import built_solver, code_of
 from nfpde.bench.device_rows import RULES, diagnosis_row, softmax_row, trajectory_row
 from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.gap.draw import draw_system
@@ -31,6 +31,7 @@ from nfpde.gap import Fitted, diagnose_gap
 from nfpde.ot import emd
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, make_simulator, runs_on
+from nfpde.sim.cores import usable_cores
 from nfpde.storage import write_whole
 from nfpde.truth import Truth
 
@@ -100,9 +101,11 @@ def run(quick: bool, out: Path, device: Device) -> None:
         "command": f"nfpde bench devices --device {device}" + (" --quick" if quick else ""),
         "devices": [runs_on(s) for s in simulators],
         "seed": SEED,
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": usable_cores(),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "versions": {n: version(n) for n in ("nfpde", "mujoco", "mujoco_warp", "warp-lang", "torch", "numpy")},
+        "code": code_of("bench/devices.py", "bench/gap/models", "benchmarks", "kernels"),
+        "solver": built_solver(),
     }
     out.mkdir(parents=True, exist_ok=True)
     record = out / (f"devices_{device}" + ("_quick" if quick else ""))

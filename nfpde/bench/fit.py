@@ -6,15 +6,19 @@ import itertools
 import json
 import platform
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from nfpde.bench.code import built_solver, code_of
 from nfpde.bench.estimation.cell import facts_of_device
+from nfpde.bench.partial import Partial
 from nfpde.benchmarks import collect, robot
 from nfpde.estimation import NfpdeConfig, fit
 from nfpde.evaluate import evaluate
 from nfpde.sim import Device, found_device, make_simulator
+from nfpde.storage import write_whole
 
 CELLS = (("softmax", "flow"), ("cai", "flow"), ("trajectory", "population"), ("trajectory", "episodes"))
 """Method, and which of its answers is measured."""
@@ -24,7 +28,9 @@ SAMPLES = 2000
 
 
 def run(quick: bool, out: Path, device: Device = "cpu") -> None:
-    """Fit, measure, print a table and write it to fit.md and fit.json; finished cells are kept and not redone.
+    """Fit, measure, print a table and write it to fit.md and fit.json.
+
+    Where it was stopped, the same command goes on, as long as the code is the same.
 
     Args:
         quick: one seed and a tenth of the iterations.
@@ -43,22 +49,24 @@ def run(quick: bool, out: Path, device: Device = "cpu") -> None:
         "samples": SAMPLES,
         "versions": {name: version(name) for name in ("nfpde", "mujoco", "torch", "zuko", "numpy")},
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "code": code_of("bench/fit.py", "benchmarks"),
+        "solver": built_solver(),
         **facts_of_device(robot("hopper"), device),
     }
     out.mkdir(parents=True, exist_ok=True)
     record = out / ("fit" + (f"_{device}" if elsewhere else "") + ("_quick" if quick else "") + ".json")
-    rows = _kept(record, facts)
+    parts, rows = Partial(record.with_suffix(".part.json"), facts), []
     cells = itertools.product(CELLS, ("gaussian", "mixture"), range(1 if quick else 3))
     for (method, answer), target, seed in cells:
         key = {"target": target, "seed": seed, "method": method, "answer": answer}
-        if any(key.items() <= row.items() for row in rows):
-            continue
-        rows.append({**key, **_cell(target, seed, method, answer, config, device)})
+        measure = partial(_cell, target, seed, method, answer, config, device)
+        rows.append({**key, **parts.get(f"{method}, {answer}, {target}, seed {seed}", measure)})
         print(_line(rows[-1]), flush=True)
-        record.write_text(json.dumps({**facts, "rows": rows}, indent=1))
+    write_whole(record, json.dumps({**facts, "rows": rows}, indent=1))
     table = _table(rows, facts)
     print(table)
-    record.with_suffix(".md").write_text(table)
+    write_whole(record.with_suffix(".md"), table)
+    parts.finish()
 
 
 def _cell(target: Any, seed: int, method: Any, answer: str, config: NfpdeConfig, device: Device) -> dict[str, float]:
@@ -83,13 +91,6 @@ def _cell(target: Any, seed: int, method: Any, answer: str, config: NfpdeConfig,
         "million_steps": result.info["simulated_steps"] / 1e6,
         "seconds": result.info["seconds"],
     }
-
-
-def _kept(record: Path, facts: dict[str, Any]) -> list[dict[str, Any]]:
-    if not record.is_file():
-        return []
-    old = json.loads(record.read_text())
-    return old["rows"] if {k: v for k, v in old.items() if k != "rows"} == json.loads(json.dumps(facts)) else []
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -22,12 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.bench.code import code_of
 from nfpde.bench.losses import SEED, _record
 from nfpde.bench.partial import Partial
 from nfpde.benchmarks import ROBOTS, Robot
 from nfpde.dataset import Windows
 from nfpde.errors import BadInput
 from nfpde.sim import Device, MujocoSimulator, make_simulator, runs_on
+from nfpde.sim.cores import usable_cores
 from nfpde.storage import write_whole
 
 Array = NDArray[np.float64]
@@ -94,9 +96,10 @@ def run(quick: bool, out: Path, device: Device) -> None:
         "vectors": VECTORS,
         "repeats": _repeats(quick),
         "seconds": ENOUGH,
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": usable_cores(),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "versions": {n: version(n) for n in ("nfpde", "mujoco", "mujoco_warp", "warp-lang", "numpy")},
+        "code": code_of("bench/losses_warp.py", "benchmarks", "kernels"),
     }
     out.mkdir(parents=True, exist_ok=True)
     record = out / (f"losses_{device}" + ("_quick" if quick else ""))

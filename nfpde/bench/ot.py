@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from nfpde.bench.code import built_solver
 from nfpde.bench.footprint import footprint
 from nfpde.bench.ot_table import line, table
 from nfpde.bench.ot_threads import scaling
@@ -136,7 +136,7 @@ def run(quick: bool, out: Path, peers_python: Path | None = None) -> None:
         | ({"POT": version("POT")} if find_spec("ot") is not None else {})
         | (peers.versions if peers else {}),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
-        "solver": _built(),
+        "solver": built_solver(),
     }
     out.mkdir(parents=True, exist_ok=True)
     name = "ot_quick" if quick else "ot"
@@ -244,11 +244,3 @@ def _measure_alone(case: Case) -> dict[str, Any]:
 def _threads(case: Case) -> dict[str, Any]:
     """Wall seconds by number of threads."""
     return {"case": str(case), "rows": scaling(*clouds(case))}
-
-
-def _built() -> str:
-    """Names the built solver by its content, so that cases of two builds are never mixed."""
-    spec = find_spec("nfpde._rust_ot")
-    if spec is None or spec.origin is None:
-        raise RuntimeError("the solver is not built")
-    return sha256(Path(spec.origin).read_bytes()).hexdigest()[:12]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nfpde.bench.ot_wanted import verdicts
+from nfpde.bench.ot_wanted import grown, verdicts
 from nfpde.bench.peers import PACKAGES
 
 COLUMNS = ("POT", "POT lazy", "SciPy", *PACKAGES)
@@ -23,7 +23,7 @@ def _large(row: dict[str, Any], rows: list[dict[str, Any]]) -> str:
         r for r in rows if (r["n"], r["d"], r["kind"], r["weights"]) == (row["n"] // 4, 6, "gauss", row["weights"])
     ]
     ratio = f"{row['seconds'] / quarter[0]['seconds']['nfpde']:.1f}" if quarter else ""
-    return f"| {row['case']} | {row['seconds']:.2f} | {ratio} | {row['megabytes']:.0f} |"
+    return f"| {row['case']} | {row['seconds']:.2f} | {ratio} | {grown(row['megabytes']).removesuffix(' MB')} |"
 
 
 def _threads(solved: dict[str, Any]) -> str:

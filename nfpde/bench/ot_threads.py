@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import statistics
 import time
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.ot import emd
+from nfpde.sim.cores import usable_cores
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def scaling(x: Array, y: Array, a: Array | None, b: Array | None) -> list[dict[s
         a: weights of x (n,), or None.
         b: weights of y (m,), or None.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     counts = [2**k for k in range(cores.bit_length()) if 2**k <= cores]
     seconds: dict[int, list[float]] = {threads: [] for threads in counts}
     costs: set[float] = set()

@@ -117,7 +117,9 @@ def gap(
     limit: Annotated[float, typer.Option(help="wall seconds for one diagnosis; longer is a failure")] = 300.0,
     folder: Annotated[Path | None, typer.Option(help="finished cases and keys; runs/gap-SEED by default")] = None,
     quick: Annotated[bool, typer.Option(help="12 systems at most")] = False,
-    out: Out = Path("docs/results"),
+    out: Annotated[
+        Path | None, typer.Option(help="folder for the tables; docs/results/gap_SEED by default", show_default=False)
+    ] = None,
     device: Annotated[Device, typer.Option(help=f"where the diagnosis simulates: {DEVICE_HELP}")] = "auto",
     draw_only: Annotated[bool, typer.Option(help="only write the systems, with keys beside: to develop on")] = False,
 ) -> None:
@@ -126,6 +128,8 @@ def gap(
 
     if draw_only:
         folder = folder or Path("runs") / f"gap-{seed}"
-        bench.draw_only(seed, folder / "systems", folder / "keys", cases=bench.QUICK_CASES if quick else cases)
+        cases = min(cases, bench.QUICK_CASES) if quick else cases
+        bench.draw_only(seed, folder / "systems", folder / "keys", cases=cases)
         return
+    out = out or Path("docs/results") / f"gap_{seed}"
     bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=found_device(device))

@@ -53,7 +53,7 @@ def command(
     Writes diagnosis.json, report.html (opens offline) and summary.png.
     """
     space = None if params is None else ParameterSpace.from_toml(params)
-    dataset = read_dataset(data, resample)
+    dataset = read_dataset(data, resample, model)
     nominal = model_file(model)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
     with _telling(quiet) as tell:

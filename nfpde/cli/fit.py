@@ -41,7 +41,7 @@ def command(
     same command goes on where an interrupted one stopped.
     """
     simulator = make_simulator(model, params, device)
-    dataset = read_dataset(data, resample)
+    dataset = read_dataset(data, resample, model)
     config = build(CONFIGS[method], settings, context, f"the method {method}")
     result = fit(
         simulator, dataset, method=method, config=config, resolution=resolution, seed=seed, out=out, quiet=quiet

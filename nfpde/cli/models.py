@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mujoco import MjModel
+
 from nfpde.benchmarks import BENCHMARKS
-from nfpde.dataset import Dataset, load_dataset
-from nfpde.errors import BadInput
+from nfpde.dataset import Dataset, expand_names, load_dataset
+from nfpde.dataset.files import read_column_names
+from nfpde.elements import QPOS_WIDTHS, element_names
+from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import Device, MujocoSimulator
+from nfpde.sim import Device, MujocoSimulator, StateSpace, load_model
 from nfpde.sim import make_simulator as on_device
 
 if TYPE_CHECKING:
@@ -49,8 +53,39 @@ def model_file(model: str) -> Path:
     return Path(model) if known is None else known.path
 
 
-def read_dataset(path: Path, resample: float | None) -> Dataset:
-    """Load recordings; a folder made by `nfpde collect` stands for its data file, the only one in it."""
+def read_dataset(path: Path, resample: float | None, model: str) -> Dataset:
+    """Load recordings; a folder made by `nfpde collect` stands for its data file, the only one in it.
+
+    Which columns are unit quaternions, to be resampled as such, is for the model to say.
+    """
     found = [f for f in path.iterdir() if f.suffix.lower() in (".npz", ".csv", ".parquet")] if path.is_dir() else []
     made_here = [f.name for f in found] == ["data.npz"]
-    return load_dataset(found[0] if made_here else path, resample=resample)
+    source = found[0] if made_here else path
+    if resample is None:
+        return load_dataset(source)
+    return load_dataset(source, resample=resample, quaternions=_quaternions(source, load_model(model_file(model))))
+
+
+def _quaternions(source: Path, model: MjModel) -> list[int]:
+    """First qpos column of each unit quaternion of a model, where recordings have it: by name, or in the model's order.
+
+    Raises:
+        BadDataset: the columns have other names, or stand in an order in which no quaternion does.
+    """
+    ours = [q for q, _ in StateSpace.of_model(model).quaternions]
+    theirs = read_column_names(source).qpos if ours else None
+    if theirs is None:
+        return ours
+    widths = [QPOS_WIDTHS[int(k)] for k in model.jnt_type]
+    names = tuple(expand_names(element_names(model, "joint"), widths))
+    found = []
+    for wanted in (names[q : q + 4] for q in ours):
+        first = theirs.index(wanted[0]) if wanted[0] in theirs else 0
+        if theirs[first : first + 4] != wanted:
+            raise BadDataset(
+                f"{source}: to be resampled, the qpos columns {', '.join(wanted)} of the model must stand side by side "
+                f"in this order, as they are a quaternion (w, x, y, z); the data has {', '.join(theirs)}. Rename or "
+                "reorder them, or number all as qpos_0, qpos_1, ... in the model's order."
+            )
+        found.append(first)
+    return found

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from nfpde.dataset.columns import ColumnNames
 from nfpde.dataset.csv_file import metadata_path, read_csv, write_csv, write_metadata
 from nfpde.dataset.dataset import Dataset
 from nfpde.dataset.episode import Episode
@@ -73,6 +74,17 @@ def load_dataset(
             extra_columns=recording.extra_columns,
             source=str(path),
         )
+
+
+def read_column_names(path: str | Path) -> ColumnNames:
+    """Names of the columns of a file, or of a folder's files, even where the steps in time are uneven.
+
+    Raises:
+        BadDataset: see `load_dataset`.
+    """
+    path = Path(path)
+    with naming(path):
+        return _read(path).column_names
 
 
 def save_dataset(dataset: Dataset, path: str | Path) -> None:

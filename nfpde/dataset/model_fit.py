@@ -53,7 +53,7 @@ def check_against_model(
     """
     with naming(dataset.source):
         _check_sizes(dataset, {"qpos": nq, "qvel": nv, "ctrl": nu}, names or {})
-        dataset = _in_model_order(dataset, names or {})
+        dataset = in_order_of_names(dataset, names or {})
         _check_step(dataset.control_dt, timestep)
         return _with_unit_quaternions(dataset, quaternions)
 
@@ -74,7 +74,16 @@ def _check_sizes(dataset: Dataset, model: Mapping[str, int], names: Mapping[str,
         )
 
 
-def _in_model_order(dataset: Dataset, names: Mapping[str, Sequence[str]]) -> Dataset:
+def in_order_of_names(dataset: Dataset, names: Mapping[str, Sequence[str]]) -> Dataset:
+    """The data set with the columns that it names in the order of the simulator's names; numbered ones stay.
+
+    Args:
+        dataset: The recordings.
+        names: The simulator's column names for "qpos", "qvel" and "ctrl".
+
+    Raises:
+        BadDataset: Names that the simulator does not have.
+    """
     order: dict[str, list[int]] = {}
     for group in GROUPS:
         own = getattr(dataset.column_names, group)

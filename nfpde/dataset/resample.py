@@ -13,6 +13,9 @@ from nfpde.errors import BadDataset, BadInput
 BRIDGE = 5.0
 """Longest step that resampling bridges when nothing else is said, in median steps."""
 
+_ON_GRID = 1e-6
+"""A recorded row this near to a new one is at the same time, in new steps: clocks are rounded."""
+
 
 def resample_episode(
     episode: Episode,
@@ -23,9 +26,11 @@ def resample_episode(
 ) -> Episode:
     """The recording at even steps of `control_dt`, from its first row on.
 
-    Positions and velocities are interpolated linearly, unit quaternions along the shorter arc (slerp);
-    commands are held (each new row takes the last recorded command at or before it). Nothing is filtered:
-    with a `control_dt` well above the recorded step, commands in between are lost.
+    Positions and velocities are interpolated linearly, unit quaternions along the shorter arc (slerp). Each
+    command acts until the next one is recorded, and a new row has what acts from it to the next row, on
+    average over time: exactly the recorded command where it is one all the way. The last row has the command
+    that acts at its time. States are not filtered, and with a `control_dt` well above the recorded step only
+    the average of many commands is left.
 
     Args:
         episode: The recording; its steps may be uneven.
@@ -52,7 +57,6 @@ def resample_episode(
         )
     even = episode.time[0] + control_dt * np.arange(steps + 1)
     time = np.minimum(even, episode.time[-1])  # the last may lie beyond by a rounding error
-    held = np.searchsorted(episode.time, time + 1e-6 * control_dt, side="right") - 1
     qpos = _interpolate(episode.time, episode.qpos, time)
     for first in quaternions:
         columns = slice(first, first + 4)
@@ -62,7 +66,7 @@ def resample_episode(
         time=even,
         qpos=qpos,
         qvel=_interpolate(episode.time, episode.qvel, time),
-        ctrl=episode.ctrl[held],
+        ctrl=_mean_commands(episode, control_dt, steps),
         robot=episode.robot,
     )
 
@@ -136,7 +140,7 @@ def _check_quaternions(episode: Episode, quaternions: Sequence[int]) -> None:
         raise BadInput(
             f"episode {episode.name!r} has nq={episode.nq} and nv={episode.nv}, so {needed} unit quaternion(s), and "
             f"quaternions={list(quaternions)}; give the first qpos column of each (3 for a free joint that comes "
-            "first)."
+            "first). Where a model says which, it must be the one that was recorded."
         )
     taken: set[int] = set()
     for first in quaternions:
@@ -162,6 +166,28 @@ def _check_gaps(episode: Episode, max_gap: float | None) -> None:
             "would invent data. Split the episode there (load_dataset(..., split_gaps=True), split_episode_at_gaps), "
             "or raise max_gap."
         )
+
+
+def _mean_commands(episode: Episode, control_dt: float, steps: int) -> NDArray[np.float64]:
+    """Time average of the command that acts from each new row to the next; the last row's at its time, (steps + 1, nu).
+
+    With the one before it a late row would go on for nearly a whole step too long.
+    """
+    stamp = (episode.time - episode.time[0]) / control_dt
+    near = np.round(stamp)
+    stamp = np.where(np.abs(stamp - near) <= _ON_GRID, near, stamp)
+    row = np.arange(steps + 1)
+    at_row = episode.ctrl[np.searchsorted(stamp, row, side="right") - 1]
+    # in each piece between these one command acts, of one row
+    ends = np.union1d(row, stamp[stamp < steps])
+    begin, length = ends[:-1], np.diff(ends)[:, None]
+    acting = episode.ctrl[np.searchsorted(stamp, begin, side="right") - 1]
+    # counted from the row's first command: what does not change is not rounded
+    change = length * (acting - at_row[np.floor(begin).astype(int)])
+    total = np.add.reduceat(change, np.searchsorted(begin, row[:-1]), axis=0)
+    mean = at_row.copy()
+    np.add(at_row[:-1], total, out=mean[:-1], where=total != 0)  # or -0 would become 0
+    return mean
 
 
 def _interpolate(old: NDArray[np.float64], values: NDArray[np.float64], new: NDArray[np.float64]) -> np.ndarray:

@@ -74,7 +74,7 @@ def rows_of_episodes(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
         and `robot` (R,) text where at least one episode has a robot.
     """
     lengths = [len(e) for e in episodes]
-    plain = all(_is_number(e.name) for e in episodes)
+    plain = all(is_whole_number(e.name) for e in episodes)
     labels = np.array([e.name for e in episodes])
     rows: dict[str, NDArray[Any]] = {"episode": np.repeat(labels.astype(np.int64) if plain else labels, lengths)}
     if any(e.robot is not None for e in episodes):
@@ -115,7 +115,7 @@ def label_texts(labels: Any, what: str) -> NDArray[np.str_]:
     return array.astype(str)
 
 
-def _is_number(name: str) -> bool:
+def is_whole_number(name: str) -> bool:
     """Whether a name is what a whole number of at most 15 digits (below 2**53) would become."""
     return len(name) < 16 and name.isdecimal() and str(int(name)) == name
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class ParameterDistribution:
 
         Equal seeds give equal samples; no global random state is touched.
         """
-        z = self.density.sample(n, torch.Generator().manual_seed(seed))
+        z = self.density.sample(index(n), torch.Generator().manual_seed(index(seed)))
         return np.clip(self.space.to_physical(z.cpu().numpy()), self._first, self._last)
 
     def log_prob(self, xi: ArrayLike) -> NDArray[np.float64]:
@@ -106,6 +107,11 @@ class ParameterDistribution:
     def save(self, folder: Path | str) -> None:
         """Write `distribution.json` and `flow.safetensors` into `folder`, made where it is missing."""
         files.save(folder, self.space, self.density)
+
+    @staticmethod
+    def remove(folder: Path | str) -> None:
+        """Take away what `save` wrote into `folder`, where there is any."""
+        files.remove(folder)
 
     @classmethod
     def load(cls, folder: Path | str, space: ParameterSpace | None = None) -> ParameterDistribution:

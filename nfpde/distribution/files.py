@@ -36,6 +36,15 @@ def save(folder: Path | str, space: ParameterSpace, density: Density) -> None:
     write_whole(folder / JSON_FILE, json.dumps(content, indent=1, ensure_ascii=False))
 
 
+def remove(folder: Path | str) -> None:
+    """Take away what `save` wrote, where there is any: the JSON first, without which nothing is there."""
+    folder = Path(folder)
+    for name in (JSON_FILE, TENSOR_FILE):
+        (folder / name).unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
 def load(folder: Path | str, space: ParameterSpace | None = None) -> tuple[ParameterSpace, Density]:
     """Read both files; see `ParameterDistribution.load`."""
     path = Path(folder) / JSON_FILE

@@ -5,18 +5,18 @@ import math
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.bearing import Bearing
+from nfpde.effects.effect import Array, Bounds, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
 
 
 @register
-class Armature(Effect):
+class Armature(Bearing):
     """Inertia about a joint in every posture, as of a rotor behind a gear: MuJoCo's `dof_armature`, added to."""
 
     name = "armature"
-    kind = "joint"
     quantities = (Quantity("inertia", "kg m2", 0.0, math.inf, neutral=0.0),)
     sentence = "The joint is slower to accelerate than its links explain: the rotor's inertia, times the gear squared."
     confounders = ("payload", "motor_strength", "actuator_lag")

@@ -43,7 +43,7 @@ class Backlash(Effect):
     name = "backlash"
     kind = "actuator"
     quantities = (Quantity("width", "rad", 0.0, math.inf, neutral=0.0),)
-    step_fields = (*DRIVE_FIELDS, "dof_armature")
+    step_fields = (*DRIVE_FIELDS, "dof_armature", "opt.timestep")
     threshold = True
     sentence = "The gear has play: after a change of the torque's direction the motor turns freely for a moment."
     confounders = ("dead_zone", "coulomb_friction", "stribeck_friction", "actuation_delay")
@@ -86,7 +86,7 @@ class Backlash(Effect):
         seen at the joint, and the joint's speed one step ago (NaN where the change since says nothing). A rotor's end
         is NaN until it is known.
         """
-        d, half, dt = self.drives, 0.5 * values, world.model.opt.timestep
+        d, half, dt = self.drives, 0.5 * values, world.fields["opt.timestep"][rows, None]  # as `time_scale` has it
         memory = world.memory.setdefault(self, np.full((4, len(world.qpos), len(self.ids)), np.nan))
         side, position, speed, before = memory[:, rows]
         joint, joint_speed = world.qpos[np.ix_(rows, d.qposadr)], world.qvel[np.ix_(rows, d.dofs)]

@@ -5,18 +5,18 @@ import math
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.bearing import Bearing
+from nfpde.effects.effect import Array, Bounds, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_jointed, joint_dofs
 
 
 @register
-class CoulombFriction(Effect):
+class CoulombFriction(Bearing):
     """Dry friction of constant size against the motion of a joint: MuJoCo's `dof_frictionloss`, added to."""
 
     name = "coulomb_friction"
-    kind = "joint"
     quantities = (Quantity("torque", "Nm", 0.0, math.inf, neutral=0.0),)
     sentence = "The joint is held back by a friction torque that does not depend on its speed."
     confounders = ("stribeck_friction", "load_friction", "viscous_damping", "backlash", "dead_zone")

@@ -57,7 +57,7 @@ def torque_scales(model: mujoco.MjModel, actuator: int, scales: DataScales) -> t
 def is_plain(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator drives a hinge or slide with one command, without a state, by fixed or affine gain and bias.
 
-    Those are motors, and position and velocity servos.
+    Those are motors, and position and velocity servos; a plugin has such fields too, and does not look at them.
     """
     return (
         driven_joint(model, actuator) >= 0
@@ -65,20 +65,25 @@ def is_plain(model: mujoco.MjModel, actuator: int) -> bool:
         and int(model.actuator_ctrlnum[actuator]) == 1
         and int(model.actuator_gaintype[actuator]) in _GAINS
         and int(model.actuator_biastype[actuator]) in _BIASES
+        and int(model.actuator_plugin[actuator]) < 0
     )
 
 
 def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether a plain actuator's force depends on the position: a position servo."""
-    affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    return is_plain(model, actuator) and affine and model.actuator_biasprm[actuator, 1] != 0
+    """Whether a plain actuator's force depends on the position, and its gain does not: a position servo."""
+    return is_plain(model, actuator) and _feeds_back(model, actuator) and model.actuator_biasprm[actuator, 1] != 0
 
 
 def is_speed_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether a plain actuator's force depends on the speed and not on the position: a velocity servo."""
-    affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
     speed, position = model.actuator_biasprm[actuator, 2], model.actuator_biasprm[actuator, 1]
-    return is_plain(model, actuator) and affine and position == 0 and speed != 0
+    return is_plain(model, actuator) and _feeds_back(model, actuator) and position == 0 and speed != 0
+
+
+def _feeds_back(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator has a fixed gain and an affine bias, as servos have."""
+    gain, bias = int(model.actuator_gaintype[actuator]), int(model.actuator_biastype[actuator])
+    return gain == int(mujoco.mjtGain.mjGAIN_FIXED) and bias == int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def servos_on(model: mujoco.MjModel, joints: Rows) -> Rows:

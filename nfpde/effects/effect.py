@@ -174,7 +174,7 @@ class Effect:
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
         """Bounds with which a diagnosis should try the effect on an element, or None where it makes no sense.
 
-        The base gives `default_bounds`, if they cover all parameters.
+        What of them physics does not allow is not tried. The base gives `default_bounds`, if they cover all parameters.
 
         Args:
             model: The nominal model.
@@ -195,10 +195,23 @@ class Effect:
             targets += [("*", EVERY)] if len(names) > 1 else []
         found = []
         for target, element in targets:
-            bounds = cls.bounds_for(model, element, scales)
+            wanted = cls.bounds_for(model, element, scales)
+            bounds = None if wanted is None else cls._allowed(wanted)
             if bounds is not None:
                 found.append(cls(target, **bounds))
         return found
+
+    @classmethod
+    def _allowed(cls, bounds: Bounds) -> Bounds | None:
+        """The part of bounds that physics allows, as unusual magnitudes lead beyond; None where none is left."""
+        allowed = dict(bounds)
+        for q in cls.quantities:
+            low, high = bounds.get(q.name, (q.low, q.high))
+            if high <= q.low or low >= q.high:
+                return None
+            if q.name in bounds:
+                allowed[q.name] = (max(low, q.low), min(high, q.high))
+        return allowed
 
     def screened(self, scales: DataScales) -> Array:
         """Parameter values to try first, (K, P), inside the bounds.

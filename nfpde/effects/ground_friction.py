@@ -40,9 +40,10 @@ class GroundFriction(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """From ice to three times the model's coefficient, where anything can touch the world."""
+        """From ice, or a fifth of the model's coefficient, to three times it, where anything can touch the world."""
         ground, robot, _ = touching(model)
-        return {"sliding": (0.05, max(3.0, 3 * _own(model)))} if len(ground) and len(robot) else None
+        own = _own(model)
+        return {"sliding": (min(0.05, 0.2 * own), max(3.0, 3 * own))} if len(ground) and len(robot) else None
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, scales: DataScales) -> list[Effect]:
@@ -88,4 +89,4 @@ def _own(model: mujoco.MjModel) -> float:
     of_ground = np.where(ahead > 0, 0.0, sliding[ground])
     of_pairs = model.pair_friction[touching(model)[2], 0]
     found = np.concatenate([np.maximum(of_ground, of_robot), of_pairs])
-    return float(np.median(found)) if len(found) else 1.0
+    return max(float(np.median(found)), mujoco.mjMINMU) if len(found) else 1.0

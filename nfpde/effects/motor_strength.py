@@ -1,6 +1,8 @@
 """Actuators that give more or less than they are asked for."""
 
-from typing import ClassVar
+from __future__ import annotations
+
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -8,6 +10,17 @@ import numpy as np
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
+from nfpde.errors import BadEffect
+
+_GAIN, _BIAS = mujoco.mjtGain, mujoco.mjtBias
+_PID, _MUSCLE_GAIN, _MUSCLE_BIAS = int(_GAIN.mjGAIN_PID), int(_GAIN.mjGAIN_MUSCLE), int(_BIAS.mjBIAS_MUSCLE)
+
+_GAINS = (int(_GAIN.mjGAIN_FIXED), int(_GAIN.mjGAIN_AFFINE), int(_GAIN.mjGAIN_SO3), _PID, _MUSCLE_GAIN)
+_BIASES = (int(_BIAS.mjBIAS_NONE), int(_BIAS.mjBIAS_AFFINE), int(_BIAS.mjBIAS_SO3), _MUSCLE_BIAS)
+"""Gains and biases that are proportional to their parameters; of a muscle, to those of `_PEAK`."""
+
+_PEAK = slice(2, 4)
+"""A muscle's `force` and `scale`: its peak force is the one, or follows from the other where that is negative."""
 
 
 @register
@@ -15,7 +28,8 @@ class MotorStrength(Effect):
     """All that an actuator does, times a factor: MuJoCo's `actuator_gainprm` and `actuator_biasprm`, scaled.
 
     For a servo both its gain and its damping change, as with a motor of another torque constant behind the same
-    controller. Limits of the force stay as they are.
+    controller; for a muscle its peak force. Limits of the force stay as they are. The force of a `dcmotor`, of a plugin
+    or of a function of yours is no multiple of these fields, nor is a torque that is fed forward.
     """
 
     name = "motor_strength"
@@ -27,8 +41,24 @@ class MotorStrength(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """From a third to nearly twice the strength, on one actuator."""
-        return dict(cls.default_bounds) if element >= 0 else None
+        """From a third to nearly twice the strength, on one actuator whose fields say its force."""
+        return dict(cls.default_bounds) if element >= 0 and _is_scalable(model, element) else None
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator whose force is no multiple of its `gainprm` and `biasprm`.
+        """
+        bound = super().bind(model)
+        for i in bound.ids:
+            if not _is_scalable(model, int(i)):
+                raise BadEffect(
+                    f"{self.name} on {self.target!r}: the force of actuator #{i} is no multiple of its gainprm and "
+                    "biasprm (it is a dcmotor, a plugin, of type user, or takes a torque that is fed forward); name "
+                    "other actuators, or limit its torque with torque_limit or torque_speed"
+                )
+        return bound
 
     def screened(self, scales: DataScales) -> Array:
         """Weaker by a little and by much."""
@@ -36,5 +66,16 @@ class MotorStrength(Effect):
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Scale gain and bias."""
-        model.actuator_gainprm[self.ids] *= values[0]
-        model.actuator_biasprm[self.ids] *= values[0]
+        for prm, muscle in (
+            (model.actuator_gainprm, model.actuator_gaintype[self.ids] == _MUSCLE_GAIN),
+            (model.actuator_biasprm, model.actuator_biastype[self.ids] == _MUSCLE_BIAS),
+        ):
+            prm[self.ids[~muscle]] *= values[0]
+            prm[self.ids[muscle], _PEAK] *= values[0]
+
+
+def _is_scalable(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force is a multiple of its gain's and its bias's parameters."""
+    gain, bias = int(model.actuator_gaintype[actuator]), int(model.actuator_biastype[actuator])
+    feeds_forward = gain == _PID and int(model.actuator_ctrlspec[actuator]) & int(mujoco.mjtCtrlInput.mjINPUT_FF)
+    return gain in _GAINS and bias in _BIASES and int(model.actuator_plugin[actuator]) < 0 and not feeds_forward

@@ -5,14 +5,15 @@ import math
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
+from nfpde.effects.bearing import Bearing
+from nfpde.effects.effect import Array, Bounds, Quantity, Rows, World
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_axis
 
 
 @register
-class StribeckFriction(Effect):
+class StribeckFriction(Bearing):
     """Dry friction that falls from `static` at rest to `coulomb` in motion.
 
     The level is coulomb + (static - coulomb) exp(-(v / speed)^2); MuJoCo's `dof_frictionloss` is set to it before
@@ -23,7 +24,6 @@ class StribeckFriction(Effect):
     """
 
     name = "stribeck_friction"
-    kind = "joint"
     quantities = (
         Quantity("coulomb", "Nm", 0.0, math.inf, neutral=0.0),
         Quantity("static", "Nm", 0.0, math.inf, neutral=0.0),

@@ -13,7 +13,7 @@ class TimeScale(Effect):
     """A step of the recording lasts `ratio` times as long as assumed: MuJoCo's `opt.timestep`, scaled.
 
     Speeds are taken to be measured in true seconds, as a motor controller's are; times of other effects count in
-    assumed seconds.
+    assumed seconds. What other effects move, as `backlash` its rotors, moves in true ones.
     """
 
     name = "time_scale"

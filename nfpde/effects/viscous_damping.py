@@ -5,18 +5,18 @@ import math
 import mujoco
 import numpy as np
 
-from nfpde.effects.effect import Array, Bounds, Effect, Quantity
+from nfpde.effects.bearing import Bearing
+from nfpde.effects.effect import Array, Bounds, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 from nfpde.elements import is_jointed, joint_dofs
 
 
 @register
-class ViscousDamping(Effect):
+class ViscousDamping(Bearing):
     """A torque against the motion, in proportion to its speed: MuJoCo's `dof_damping`, added to."""
 
     name = "viscous_damping"
-    kind = "joint"
     quantities = (Quantity("damping", "Nms/rad", -math.inf, math.inf, neutral=0.0),)
     sentence = "The joint is held back, or less than modelled, in proportion to its speed: grease, seals, back-EMF."
     confounders = ("coulomb_friction", "torque_speed", "fluid_drag", "servo_gain")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from nfpde.errors import BadInput
 
 
@@ -67,6 +69,8 @@ class TrajectoryConfig:
 def check_settings(config: Any) -> None:
     """Refuse values of a settings dataclass below their least, and names that are no choice.
 
+    NumPy's numbers become plain ones, which JSON can hold.
+
     Raises:
         BadInput: naming the setting, the value and the least or the choices.
     """
@@ -76,11 +80,13 @@ def check_settings(config: Any) -> None:
         if get_origin(types[f.name]) is Literal and value not in get_args(types[f.name]):
             choices = ", ".join(map(repr, get_args(types[f.name])))
             raise BadInput(f"{f.name} is {value!r}; it must be one of {choices} ({f.metadata['help']})")
-        if value is None or least is None:
+        if least is None or (value is None and type(None) in get_args(types[f.name])):
             continue
-        wrong = isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < float("inf")
-        if wrong or (f.type == "int" and not isinstance(value, int)):
+        number = int | np.integer if f.type == "int" else int | float | np.integer | np.floating
+        if isinstance(value, bool) or not isinstance(value, number) or not least <= value < float("inf"):
             raise BadInput(
                 f"{f.name} is {value!r}; it must be a{'n integer' if f.type == 'int' else ' number'} of at "
                 f"least {least:g} ({f.metadata['help']})"
             )
+        if isinstance(value, np.generic):
+            object.__setattr__(config, f.name, value.item())

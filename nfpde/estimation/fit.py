@@ -58,13 +58,15 @@ def fit(
 
     Raises:
         BadInput: settings, windows without what the simulator needs, or several models with `trajectory`.
+        BadDataset: recordings that do not fit into the memory with `trajectory`, or are too short.
         CheckpointMismatch: `out` belongs to another run.
         KeyboardInterrupt: after saving a checkpoint.
     """
     if method not in get_args(Method):
         raise BadInput(f"no method is called {method!r}; there are: {', '.join(get_args(Method))}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
+    seed = int(seed)
     settings: NfpdeConfig | TrajectoryConfig = CONFIGS[method]() if config is None else config
     if not isinstance(settings, CONFIGS[method]):
         raise BadInput(f"the method {method} takes a {CONFIGS[method].__name__}, got a {type(config).__name__}")
@@ -88,6 +90,7 @@ def fit(
     folder = None if out is None else Path(out)
     if isinstance(settings, TrajectoryConfig):
         problem = make_problem(simulator, dataset, settings.horizon, resolution)
+        problem.check_memory()
         if resolution is not None:
             run["resolution"] = np.asarray(resolution).tolist()
         result = fit_trajectory(problem, settings, seed, run, folder, quiet)

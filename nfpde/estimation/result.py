@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nfpde.distribution import ParameterDistribution
+from nfpde.distribution.files import JSON_FILE
 from nfpde.errors import BadInput
 from nfpde.storage import read_json, write_whole
 
@@ -46,6 +47,9 @@ class FitResult:
         self.initial.save(folder / "initial")
         if self.episodes is not None:
             self.episodes.save(folder / "episodes")
+        else:
+            # of an earlier fit into the same folder
+            ParameterDistribution.remove(folder / "episodes")
         content = {"schema_version": SCHEMA_VERSION, **self.info, "history": self.history}
         write_whole(folder / "fit.json", json.dumps(content, indent=1, ensure_ascii=False))
 
@@ -65,5 +69,5 @@ class FitResult:
         distribution = ParameterDistribution.load(folder / "distribution")
         initial = ParameterDistribution.load(folder / "initial", distribution.space)
         inner = folder / "episodes"
-        episodes = ParameterDistribution.load(inner, distribution.space) if inner.is_dir() else None
+        episodes = ParameterDistribution.load(inner, distribution.space) if (inner / JSON_FILE).is_file() else None
         return cls(distribution, initial, content.pop("history"), content, episodes)

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Sequence
+from operator import index
 from typing import Any, Literal, cast, get_args
 
+import numpy as np
 import torch
 import zuko
 from torch import Tensor, nn
@@ -158,15 +160,16 @@ def build_flow(
         transforms = 3 if kind == "nsf" else 6
     sizes = {"features": [features], "hidden_features": list(hidden_features), "transforms": [transforms]}
     for name, values in sizes.items():
-        if not values or any(isinstance(v, bool) or not isinstance(v, int) or v < 1 for v in values):
+        if not values or any(isinstance(v, bool) or not isinstance(v, int | np.integer) or v < 1 for v in values):
             raise BadInput(f"{name} must be made of integers of at least 1, got {values}")
+    features, transforms, hidden_features = int(features), int(transforms), [int(v) for v in hidden_features]
     if features == 1 and kind != "nsf":
         raise BadInput(
             f"a {kind} flow of one parameter is an affine map of a normal distribution and nothing more; "
             "use 'nsf' (or 'auto')"
         )
     with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(seed)
+        torch.default_generator.manual_seed(index(seed))
         return Flow(features, kind, hidden_features, transforms, sheared)
 
 

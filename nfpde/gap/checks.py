@@ -183,7 +183,9 @@ def _check_encoders(replay: Replay, dataset: Dataset, xi: Array) -> None:
     if not still:
         return
     longest = max(len(e) for e in dataset) - 1
-    windows = _some(dataset.windows(min(longest, max(1, round(_LOOK / dataset.control_dt)))))
+    dt, sim = dataset.control_dt, replay.sim
+    steps = min(longest, max(1, round(_LOOK / dt)))
+    windows = _some(dataset.windows(steps, history=sim.history_steps(dt), past=sim.past_steps(dt)))
     predicted = replay.predict(xi[None], windows)[0]
     for axis in still:
         least = np.pi / 180 * (1.0 if axis.turns else float(model.stat.extent))

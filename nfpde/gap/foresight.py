@@ -44,19 +44,22 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
     """
     if dataset.nu == 0 or max(len(e) for e in dataset) < 3:
         return
-    every = dataset.windows(2, stride=1, history=_PAST)
+    sim = replay.sim
+    back = max(_PAST, sim.history_steps(dataset.control_dt))
+    every = dataset.windows(2, stride=1, history=back, past=sim.past_steps(dataset.control_dt))
     known = 1 + every.nq + every.nv + (1 + _PAST) * every.nu
     windows = _most_commanded(every, max(_MOST, _EACH * known))
     if len(windows) < _FEWEST * known:
         return
     as_written = replace(windows, state=windows.state[:, :2], ctrl=windows.ctrl[:, :1])
-    shifted = replace(as_written, ctrl=windows.ctrl[:, 1:])
+    before = np.concatenate([windows.history, windows.ctrl[:, :1]], axis=1)
+    shifted = replace(as_written, ctrl=windows.ctrl[:, 1:], history=before[:, 1:])
     now, then = (replay.predict(xi[None], w)[0][:, 0, windows.nq :] for w in (as_written, shifted))
     lacking, row = windows.state[:, 1, windows.nq :] - now, then - now
     sound = np.isfinite(lacking + row).all(1)
     if sound.sum() < _FEWEST * known:
         return
-    past = windows.history.reshape(len(windows), -1)
+    past = windows.history[:, -_PAST:].reshape(len(windows), -1)
     told = np.hstack([np.ones((len(windows), 1)), windows.state[:, 0], windows.ctrl[:, 0], past])
     shares = [
         _left(told[sound], lacking[sound, c], row[sound, c]) for c in range(every.nv) if (row[sound, c] != 0).any()

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.dataset.rows import is_whole_number
 from nfpde.storage import finite, write_whole
 
 Array = NDArray[np.float64]
@@ -257,4 +258,4 @@ class GapReport:
 
 
 def _number(name: str) -> int | str:
-    return int(name) if name.isdigit() else name
+    return int(name) if is_whole_number(name) else name

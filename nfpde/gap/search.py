@@ -125,7 +125,7 @@ class Search:
             lead: Rows at an episode's beginning in which none starts; None: as many as a single effect remembers.
             held: What to hold out; None: as the seed decides.
         """
-        history, rows = _history(self.candidates, self.dataset.control_dt)
+        history, rows = self._history()
         return cut_recordings(self.dataset, history, self.seed, self.windows, rows if lead is None else lead, held)
 
     def run(self) -> tuple[Stage, Found]:
@@ -237,7 +237,7 @@ class Search:
         base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
         if early is None:
             every = self.cut(0)
-            rows = _history(self.candidates, self.dataset.control_dt)[1]
+            rows = self._history()[1]
             if begins_worse(base, court, self._lengths(every)[0], rows):
                 recordings, lead, lengths = every, 0, self._lengths(every)
                 base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
@@ -362,6 +362,17 @@ class Search:
         base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma, dofs=dofs)
         return in_noise(base, court, longer, self.seed, known, share=before.misjudged)
 
+    def _history(self) -> tuple[int, int]:
+        """Commands from before a window that any three candidates and the free effects may need, and any one may."""
+        effects, dt, known = [e for e, _ in self.candidates], self.dataset.control_dt, self.start.sim
+        recall = _steps(max((e.recall_time() for e in effects), default=0.0), dt)
+        recall = max(recall, known.past_steps(dt))
+        times = sorted((e.memory_time() for e in effects), reverse=True)[:3]
+        longest = known.memory_time + max(times, default=0.0)
+        if longest <= 0:
+            return recall, 0
+        return _steps(known.memory_time + sum(times), dt) + 2 + recall, _steps(longest, dt)
+
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings, self.most) if self.touches else []) or [recordings]
@@ -377,10 +388,5 @@ def _moved(selection: Selection, near: Stage) -> Selection:
     return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma, by_noise={}, scores={})
 
 
-def _history(candidates: Sequence[tuple[Effect, Array]], control_dt: float) -> tuple[int, int]:
-    """Commands from before a window that any combination of three effects may need, and that any single one may."""
-    times = sorted((e.memory_time() for e, _ in candidates), reverse=True)[:3]
-    recall = int(np.ceil(max((e.recall_time() for e, _ in candidates), default=0.0) / control_dt - 1e-9))
-    if not times or times[0] <= 0:
-        return recall, 0
-    return int(np.ceil(sum(times) / control_dt - 1e-9)) + 2 + recall, int(np.ceil(times[0] / control_dt - 1e-9))
+def _steps(seconds: float, control_dt: float) -> int:
+    return int(np.ceil(seconds / control_dt - 1e-9))

@@ -18,6 +18,7 @@ def _forget(
 @wp.kernel(enable_backward=False)
 def _play_rotors(
     # Model:
+    opt_timestep: wp.array2d[float],
     actuator_gear: wp.array2d[float],
     actuator_forcerange: wp.array2d[float],
     jnt_actfrcrange: wp.array2d[float],
@@ -38,7 +39,6 @@ def _play_rotors(
     low_in: wp.array[float],
     high_in: wp.array[float],
     spare_in: wp.array[float],
-    timestep_in: wp.array[float],
     first_in: int,
     effect_in: int,
     # Out:
@@ -58,7 +58,7 @@ def _play_rotors(
     if active_in[row, effect_in] == 0:
         return
     half = 0.5 * float(values_in[row, first_in])
-    dt = timestep_in[i]
+    dt = _own(opt_timestep, worldid, 0)
     a = actuatorid_in[i]
     dofid = dofid_in[i]
     sent = wp.clamp(ctrl_in[worldid, ctrlid_in[i]], low_in[i], high_in[i])

@@ -79,12 +79,16 @@ def evaluate_policy(
         seed: of draws and start states.
 
     Raises:
-        BadInput: fewer than 2 episodes, an environment or source that cannot be used, or episodes without an end.
+        BadInput: fewer than 2 episodes, a negative seed, an environment or source that cannot be used, or episodes
+            without an end.
         SpaceMismatch: a space, or a distribution over one, that is not the wrapped environment's.
         SimulationDiverged: an episode blew up, so that it has no return; names its parameters.
     """
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 2:
         raise BadInput(f"episodes is {episodes!r}; it must be a whole number, at least 2 (for a standard error)")
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise BadInput(f"seed is {seed!r}; it must be a whole number, at least 0")
+    seed = int(seed)
     made = None
     if isinstance(env, RandomizedParameters):
         if space is not None:

@@ -16,12 +16,13 @@ from nfpde.parameters import ParameterSpace
 from nfpde.sim import MujocoSimulator
 from nfpde.sim.acting import BeforeStep, BoundEffects, RowEffects
 from nfpde.sim.fields import get_field, set_field
+from nfpde.sim.quiet import quiet_mujoco
 
 Array = NDArray[np.float64]
 
 
 class PhysicsDiverged(Exception):
-    """Ends the environment's step from inside; `RandomizedParameters` catches it."""
+    """Ends the environment's step or reset from inside; `RandomizedParameters` catches it."""
 
 
 class LivePhysics:
@@ -77,6 +78,7 @@ class LivePhysics:
         else:
             writer.write(model, xi)
         self._effects = self._effects_at(xi)
+        self._past = self._before_step = None
 
     def start(self) -> None:
         """Forget what effects and solver remember of the last episode; to be called after the inner reset."""
@@ -84,10 +86,10 @@ class LivePhysics:
         data.qacc_warmstart[:] = 0.0
         data.qfrc_applied[:] = 0.0
         data.xfrc_applied[:] = 0.0
-        self._past = None
-        state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"))
-        fields = {f: np.array(get_field(model, f))[None] for f in self._bound.step_fields}
-        self._before_step = self._effects.before_step(World(self.nominal_model, *state, fields=fields))
+        if self._before_step is not None:  # the environment let the robot settle: effects may have changed fields
+            for name, field in self._before_step.fields.items():
+                set_field(model, name, field[0])
+        self._past = self._before_step = None
 
     def release(self) -> None:
         """Give the environment its own methods back, and its model the nominal parameters and its own solver."""
@@ -104,32 +106,32 @@ class LivePhysics:
         return self._bound.on_rows((self._simulator.nominal() if xi is None else xi)[None])
 
     def _install(self) -> None:
-        self._own_simulation = self.env.do_simulation
-        self.env.do_simulation = self._simulate
         if self._bound.on_command or self._bound.on_step:
             self._check_stepping()
         if self._on_sensor:
             self._check_observation()
             self._own_observation = self.env._get_obs
             self.env._get_obs = self._observe
+        self._own_simulation = self.env.do_simulation
+        self.env.do_simulation = self._simulate
 
     def _simulate(self, ctrl: Any, n_frames: int) -> None:
         data = self.env.data
-        before = data.warning.number.sum()
-        if self._effects.between_steps:
-            self._substeps(np.asarray(ctrl, dtype=np.float64), n_frames)
-        else:
-            self._own_simulation(ctrl, n_frames)
+        data.warning.number[:] = 0  # MuJoCo counts from 0 again where it starts a simulation afresh
+        with quiet_mujoco():
+            if self._effects.between_steps:
+                self._substeps(np.asarray(ctrl, dtype=np.float64), n_frames)
+            else:
+                self._own_simulation(ctrl, n_frames)
         # as in MujocoSimulator, every warning that MuJoCo counts makes its numbers wrong
-        if data.warning.number.sum() > before or not np.isfinite(data.qvel).all():
+        if data.warning.number.any() or not np.isfinite(data.qvel).all():
             raise PhysicsDiverged
 
     def _substeps(self, ctrl: Array, n_frames: int) -> None:
-        env, model, before_step = self.env, self.env.model, self._before_step
+        env, model = self.env, self.env.model
         if ctrl.shape != (model.nu,):
             raise BadInput(f"environment {self.label}: an action has shape ({model.nu},), got {ctrl.shape}")
-        if before_step is None:
-            raise BadInput(f"environment {self.label}: call reset() before step()")
+        before_step = self._before_step or self._bind_effects()
         for command in self._commands(ctrl, n_frames):
             env.data.ctrl[:] = command
             before_step()
@@ -138,6 +140,14 @@ class LivePhysics:
             mujoco.mj_step(model, env.data)
         env.data.ctrl[:] = ctrl  # what the policy asked for is what a control cost charges
         mujoco.mj_rnePostConstraint(model, env.data)
+
+    def _bind_effects(self) -> BeforeStep:
+        """What effects do before every physics step, bound to the state as it is now."""
+        model, data = self.env.model, self.env.data
+        state = (getattr(data, name)[None] for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"))
+        fields = {f: np.array(get_field(model, f))[None] for f in self._bound.step_fields}
+        self._before_step = self._effects.before_step(World(self.nominal_model, *state, fields=fields))
+        return self._before_step
 
     def _commands(self, ctrl: Array, n_frames: int) -> Array:
         """Commands of the next physics steps after the effects on them, (n_frames, nu)."""
@@ -169,6 +179,10 @@ class LivePhysics:
         """Sensor effects need observations that are a function of qpos and qvel alone; find out by trying."""
         if not callable(getattr(self.env, "_get_obs", None)):
             self._refuse("it has no method _get_obs, so effects on sensors cannot act in it")
+        stream = self.env.np_random.bit_generator
+        before = stream.state
+        self.env.reset()  # an observation may hold what only a reset makes, a goal for example
+        stream.state = before
         data, model = self.env.data, self.env.model
         saved = np.concatenate([data.qpos, data.qvel])
         first = np.array(self.env._get_obs(), dtype=np.float64)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nfpde.errors import BadInput, BadParameter
+from nfpde.errors import BadInput, BadParameter, SimulationDiverged
 from nfpde.parameters import ParameterSpace
 from nfpde.rl.live import LivePhysics, PhysicsDiverged
 
@@ -79,7 +79,11 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.diverged_episodes = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Draw parameters, write them into the model and start an episode."""
+        """Draw parameters, write them into the model and start an episode.
+
+        Raises:
+            SimulationDiverged: the environment simulates in its reset, and that blew up; names the parameters.
+        """
         options = dict(options or {})
         if seed is not None:
             # a child of the seed's sequence, so that draws are independent of the environment's own randomness
@@ -89,7 +93,13 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
         xi = self._draw() if given is None else self._given(given)
         self.parameters = xi
         self._physics.write(xi)
-        observation, info = self.env.reset(seed=seed, options=options or None)
+        try:
+            observation, info = self.env.reset(seed=seed, options=options or None)
+        except PhysicsDiverged:
+            raise SimulationDiverged(
+                f"environment {self.label}: the simulation diverged within reset() of an episode with "
+                f"{self._named() or 'nominal parameters'}: use a smaller timestep in the model, or tighter bounds"
+            ) from None
         self._physics.start()
         self._observation = observation
         return observation, {**info, "parameters": self._named()}

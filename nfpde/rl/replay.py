@@ -64,7 +64,7 @@ class ReplayFiles:
                     rows = np.arange(first, last) % size
                     for name in ARRAYS:
                         getattr(buffer, name)[rows] = file[name]
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
                 raise BadInput(
                     f"{path} is damaged ({error}). Delete the folder to start the training afresh."
                 ) from None

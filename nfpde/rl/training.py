@@ -115,6 +115,7 @@ class Training:
             )
         self.identity = self._identity()
         saved = load_state(self.out, self.identity)
+        self.out.mkdir(parents=True, exist_ok=True)  # one that cannot be made is told before a round is run
         self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
         if saved is None:
             self.policy = self.learner.policy(self.label)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
+from nfpde.dataset.model_fit import in_order_of_names
+from nfpde.dataset.naming import naming
 from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.simulator import Array, Simulator
@@ -46,11 +48,15 @@ class CallableSimulator(Simulator):
     ) -> None:
         self.step = step
         self.space = space
-        self.states = StateSpace.euclidean(positions, velocities or [])
+        self.positions, self.velocities = list(positions), list(velocities or [])
+        self.states = StateSpace.euclidean(self.positions, self.velocities)
         self.commands = None if commands is None else list(commands)
 
     def prepare(self, dataset: Dataset) -> Dataset:
-        """Check the numbers of positions and velocities, and of commands where they have names.
+        """Check the numbers of positions and velocities, and of commands where they have names; order named columns.
+
+        Returns:
+            The data set; where it names its columns, in the order of the names given here.
 
         Raises:
             BadDataset: they do not fit; the text says what the simulator has.
@@ -60,7 +66,15 @@ class CallableSimulator(Simulator):
                 f"the data has nu={dataset.nu}, the simulator {len(self.commands)} command(s): "
                 f"{', '.join(self.commands) or '(none)'}"
             )
-        return super().prepare(dataset)
+        dataset = super().prepare(dataset)
+        own = dataset.column_names.ctrl or ()
+        names = {
+            "qpos": self.positions,
+            "qvel": self.velocities,
+            "ctrl": own if self.commands is None else self.commands,
+        }
+        with naming(dataset.source):
+            return in_order_of_names(dataset, names)
 
     def identity(self) -> dict[str, Any]:
         """The names of channels and commands, and the function's module and name.

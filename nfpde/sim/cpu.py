@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
 from nfpde.sim.acting import BoundEffects
 from nfpde.sim.alike import ModelSource, load_models, refuse_unlike_effects
+from nfpde.sim.cores import usable_cores
 from nfpde.sim.fields import get_field
 from nfpde.sim.matching import match_dataset
 from nfpde.sim.model import model_hash
@@ -71,7 +71,7 @@ class MujocoSimulator(Simulator):
         self.writer = ModelWriter(self.models, base, self.effects)
         column = self.writer.model_column
         self.jumps = () if column is None else (column,)
-        self.nthread = nthread or len(os.sched_getaffinity(0))
+        self.nthread = nthread or usable_cores()
         self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
         self.memory_time, self.recall_time = self._bound.memory_time, self._bound.recall_time
         self._batch: mujoco.batch.Batch | None = None
@@ -89,7 +89,8 @@ class MujocoSimulator(Simulator):
             raise BadInput(f"the windows have nu={windows.ctrl.shape[2]} commands, the model nu={self.model.nu}")
         fields = self.writer.rows(xi)
         out = np.empty((len(vector), windows.horizon, self.states.nx))
-        size = rows_at_once(windows.horizon * (self.states.nx + self.model.nu * nsub))
+        steps = windows.horizon + (windows.nhistory if self._bound.on_command else 0)
+        size = rows_at_once(windows.horizon * self.states.nx + steps * self.model.nu * nsub)
         with quiet_mujoco(), np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(vector), size):
                 part = slice(start, start + size)

@@ -7,6 +7,7 @@ import mujoco
 from nfpde.dataset import Dataset, expand_names
 from nfpde.dataset import check_against_model as check
 from nfpde.elements import DOF_WIDTHS, QPOS_WIDTHS, element_names
+from nfpde.sim.clock import check_seconds_of_clock
 from nfpde.sim.states import StateSpace
 
 
@@ -17,11 +18,11 @@ def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -
         The data set; with columns put in the model's order where it names them.
 
     Raises:
-        BadDataset: what does not fit, and what the model has.
+        BadDataset: what does not fit, and what the model has; or time that is not in seconds.
     """
     joints = element_names(model, "joint")
     kinds = [int(k) for k in model.jnt_type]
-    return check(
+    matched = check(
         dataset,
         nq=model.nq,
         nv=model.nv,
@@ -34,3 +35,5 @@ def match_dataset(model: mujoco.MjModel, states: StateSpace, dataset: Dataset) -
             "ctrl": expand_names(element_names(model, "actuator"), [int(k) for k in model.actuator_ctrlnum]),
         },
     )
+    check_seconds_of_clock(model, matched)
+    return matched

@@ -22,7 +22,8 @@ LENGTHS = (5, 100, 1000)
 def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
     """Raise unless every parameter changes some simulation by more than rounding.
 
-    All other parameters are at random places in their bounds, because one may matter only through another.
+    All other parameters are at random places in their bounds, because one may matter only through another; of several
+    models every one is tried, because an element may matter in one of them only.
 
     Raises:
         BadParameter: naming the parameters without influence.
@@ -33,15 +34,16 @@ def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
     ends = np.empty(0)
     for length in LENGTHS:
         windows = random_windows(model, STARTS, length, simulator.history_steps(model.opt.timestep), rng)
-        base = space.uniform(1, rng).repeat(2 * len(silent), axis=0)
-        base[np.arange(len(silent)), silent] = space.low[silent]
-        base[np.arange(len(silent)) + len(silent), silent] = space.high[silent]
-        ends = simulator.predict(base, windows)
-        low, high = np.split(ends, 2)
-        same = np.isclose(low, high, rtol=ROUNDING * length, atol=ROUNDING * length, equal_nan=True)
-        silent = silent[same.all(axis=(1, 2, 3))]
-        if not len(silent):
-            return
+        for xi in _of_every_model(simulator, space.uniform(1, rng)):
+            base = xi.repeat(2 * len(silent), axis=0)
+            base[np.arange(len(silent)), silent] = space.low[silent]
+            base[np.arange(len(silent)) + len(silent), silent] = space.high[silent]
+            ends = simulator.predict(base, windows)
+            low, high = np.split(ends, 2)
+            same = np.isclose(low, high, rtol=ROUNDING * length, atol=ROUNDING * length, equal_nan=True)
+            silent = silent[same.all(axis=(1, 2, 3))]
+            if not len(silent):
+                return
     names = ", ".join(f"{p.name} ({p.low:g} against {p.high:g})" for p in (space.parameters[i] for i in silent))
     if np.isnan(ends).all():
         raise BadParameter(f"{names}: every simulation within the bounds diverges; narrow the bounds")
@@ -51,6 +53,15 @@ def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
         "ratios of masses matter where nothing but weight acts. Take the parameter out, or pass check_influence=False "
         "if it matters only in states that random motion does not reach"
     )
+
+
+def _of_every_model(simulator: Simulator, xi: Array) -> list[Array]:
+    """Parameters (1, D) with each of the simulator's models, of which model k holds the values from k up to k + 1."""
+    found = [xi]
+    for column in simulator.jumps:
+        models = np.arange(np.floor(simulator.space.low[column]), np.ceil(simulator.space.high[column]))
+        found = [np.where(np.arange(len(simulator.space)) == column, k + 0.5, x) for x in found for k in models]
+    return found
 
 
 def random_windows(model: mujoco.MjModel, n: int, length: int, history: int, rng: np.random.Generator) -> Windows:

@@ -188,7 +188,7 @@ class Simulator(ABC):
         return self.losses(xi, windows, scale)
 
     def prepare(self, dataset: Dataset) -> Dataset:
-        """Check that recordings fit this simulator; returns them, with columns reordered where they are named.
+        """Check that recordings fit this simulator; returns them, in its order where it and they name columns.
 
         Raises:
             BadDataset: they do not fit; the text says what the simulator has.

@@ -86,6 +86,8 @@ def _elements(model: mujoco.MjModel, p: Parameter) -> Slot:
         names = ", ".join(element_names(model, kind)[:40])
         raise BadParameter(f"{p.name}: give a target, the {kind} it belongs to; the model has: {names}")
     ids = element_ids(model, kind, p.target, p.name)
+    if kind == "body" and p.target == "*":
+        ids = ids[ids > 0]  # the world neither moves nor weighs anything
     if prefix == "dof":
         ids = joint_dofs(model, ids)
     elif prefix.startswith("qpos"):
@@ -97,10 +99,13 @@ def _elements(model: mujoco.MjModel, p: Parameter) -> Slot:
         raise BadParameter(f"{p.name}: {p.field} has one number per element, so component must be 0")
     nominal = np.array(array[index], dtype=np.float64)
     scales = p.field == "body_mass" and p.scale_inertia
-    if (p.relative or scales) and not (nominal != 0).all():
+    if p.relative and not nominal.any():
+        raise BadParameter(f"{p.name}: the model's own value is 0, so it cannot be scaled")
+    if scales and not (nominal != 0).all():
+        without = ", ".join(element_names(model, "body")[i] for i in ids[nominal == 0])
         raise BadParameter(
-            f"{p.name}: the model's own value is 0, so it cannot be scaled"
-            + ("" if p.relative else "; a mass without inertia: set scale_inertia=False or give the body a mass")
+            f"{p.name}: no mass, and so no inertia that could be scaled along: {without}. Name the other bodies "
+            "(target takes a tuple of names), give these a mass, or set scale_inertia=False"
         )
     return Slot(p, index, nominal, np.array(model.body_inertia[ids]) if scales else None)
 

@@ -72,8 +72,8 @@ _DRIVES = tuple(f"drives.{name}" for name in ("ids", "joints", "qposadr", "dofs"
 STEPS = {
     "backlash": Launch(
         backlash._play_rotors,
-        (*_DRIVES, "spare", "timestep"),
-        ("actuator_gear", "actuator_forcerange", "jnt_actfrcrange", "ctrl", "qpos", "qvel"),
+        (*_DRIVES, "spare"),
+        ("opt.timestep", "actuator_gear", "actuator_forcerange", "jnt_actfrcrange", "ctrl", "qpos", "qvel"),
         ("actuator_gainprm", "actuator_biasprm", "dof_armature", "qfrc_applied"),
         memory=4,
     ),
@@ -253,8 +253,7 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         effect: bound.
         model: as the worlds share it.
         name: an attribute with ids, of the effect (`dofs`) or of actuators it holds (`motors.ctrls`). Of actuators
-            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`;
-            `timestep` is that of the physics, the same for all.
+            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`.
     """
     head, _, tail = name.rpartition(".")
     owner: Any = getattr(effect, head) if head else effect
@@ -269,8 +268,6 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         bits = (model.actuator_gaintype[ids] == affine[0]) + 2 * (model.actuator_biastype[ids] == affine[1])
         bits = bits + 4 * (model.actuator_forcelimited[ids] != 0) + 8 * (model.jnt_actfrclimited[owner.joints] != 0)
         return bits.astype(np.int32)
-    if tail == "timestep":
-        return np.full(len(effect.ids), model.opt.timestep, np.float32)
     numbers = np.asarray(getattr(owner, tail))
     return numbers.astype(np.float32 if numbers.dtype.kind == "f" else np.int32)
 

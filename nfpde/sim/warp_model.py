@@ -191,7 +191,7 @@ class WarpModel:
 
     def views(self, m: mjw.Model, names: list[str]) -> dict[str, wp.array]:
         """Fields of a model of `put`, as (rows, numbers) of floats."""
-        return {n: _floats(getattr(m, n), get_field(self.model, n).size) for n in names}
+        return {n: _floats(getattr(*_where(m, n)), get_field(self.model, n).size) for n in names}
 
     def place_static(self, m: mjw.Model, d: mjw.Data, geoms: wp.array) -> None:
         """Put geoms of the world where each world's own model has them."""

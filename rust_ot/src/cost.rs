@@ -54,6 +54,8 @@ pub trait Cost: Sync {
     }
     /// A bound on the absolute cost of every pair, scaled.
     fn bound(&self) -> f64;
+    /// A bound below the cost of every pair, scaled.
+    fn floor(&self) -> f64;
     /// Cost of one pair in the caller's units, from the scaled one.
     fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64;
     /// Cost of one pair in the caller's units.

@@ -1,6 +1,6 @@
 //! Exact optimal transport between weighted point sets; every answer carries the proof that it is optimal.
 //!
-//! [`between_points`] and [`with_cost`] are the entry points; `python` is the only module that knows Python.
+//! [`between_points`], [`between_numbers`] and [`with_cost`] are the entry points; `python` is the only module that knows Python.
 #![deny(unsafe_code)]
 
 pub mod arcs;
@@ -8,12 +8,14 @@ pub mod assignment;
 pub mod candidates;
 pub mod careful;
 pub mod certificate;
+pub mod clipped;
 pub mod coarse;
 pub mod coarse_to_fine;
 pub mod cost;
 pub mod error;
 pub mod few_columns;
 pub mod forest;
+pub mod line;
 pub mod mass;
 pub mod masses;
 pub mod matrix;
@@ -36,4 +38,4 @@ pub mod watch;
 
 pub use error::OtError;
 pub use solution::Solution;
-pub use transport::{between_points, with_cost};
+pub use transport::{between_numbers, between_points, with_cost};

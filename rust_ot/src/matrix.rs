@@ -12,6 +12,7 @@ pub struct Matrix<'a> {
     shift: i32,
     factor: f64,
     bound: f64,
+    floor: f64,
 }
 
 impl<'a> Matrix<'a> {
@@ -27,10 +28,11 @@ impl<'a> Matrix<'a> {
             let (row, col) = (place / cols, place % cols);
             return Err(bad(format!("cost[{row}, {col}] is {}: costs must be finite", costs[place])));
         }
+        let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
         let largest = costs.iter().fold(0.0, |largest: f64, v| largest.max(v.abs()));
         let shift = if largest > 0.0 { exponent_of(largest).max(-1021) } else { 0 };
         let factor = times_power_of_two(1.0, -shift);
-        Ok(Self { costs, cols, shift, factor, bound: largest * factor })
+        Ok(Self { costs, cols, shift, factor, bound: largest * factor, floor: least * factor })
     }
 }
 
@@ -56,7 +58,7 @@ impl Cost for Matrix<'_> {
 
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_> {
         let costs = rows.iter().flat_map(|&i| cols.iter().map(move |&j| self.at(i, j))).collect();
-        Box::new(Part { costs, cols: cols.len(), bound: self.bound, shift: self.shift })
+        Box::new(Part { costs, cols: cols.len(), bound: self.bound, floor: self.floor, shift: self.shift })
     }
 
     fn is_stored(&self) -> bool {
@@ -65,6 +67,10 @@ impl Cost for Matrix<'_> {
 
     fn bound(&self) -> f64 {
         self.bound
+    }
+
+    fn floor(&self) -> f64 {
+        self.floor
     }
 
     fn unscale(&self, row: usize, col: usize, _scaled: f64) -> f64 {
@@ -82,6 +88,7 @@ struct Part {
     costs: Vec<f64>,
     cols: usize,
     bound: f64,
+    floor: f64,
     shift: i32,
 }
 
@@ -104,7 +111,7 @@ impl Cost for Part {
 
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_> {
         let costs = rows.iter().flat_map(|&i| cols.iter().map(move |&j| self.at(i, j))).collect();
-        Box::new(Self { costs, cols: cols.len(), bound: self.bound, shift: self.shift })
+        Box::new(Self { costs, cols: cols.len(), ..*self })
     }
 
     fn is_stored(&self) -> bool {
@@ -113,6 +120,10 @@ impl Cost for Part {
 
     fn bound(&self) -> f64 {
         self.bound
+    }
+
+    fn floor(&self) -> f64 {
+        self.floor
     }
 
     fn unscale(&self, _row: usize, _col: usize, scaled: f64) -> f64 {

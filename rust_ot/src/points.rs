@@ -32,8 +32,6 @@ impl Points {
     /// # Errors
     /// `BadInput` for an empty set or a coordinate that is not finite.
     pub fn new(x: &[f64], y: &[f64], dim: usize, metric: Metric) -> Result<Self, OtError> {
-        // The root of a square is exact on a line, except where the square vanishes.
-        let metric = if dim == 1 && metric == Metric::Euclidean { Metric::CityBlock } else { metric };
         check_points("x", x, dim)?;
         check_points("y", y, dim)?;
         let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); dim];
@@ -43,21 +41,21 @@ impl Points {
                 *high = high.max(value);
             }
         }
-        // Halves, because the width itself may be beyond the range of numbers.
-        let half_widths: Vec<f64> = reach.iter().map(|(low, high)| high / 2.0 - low / 2.0).collect();
-        let widest = half_widths.iter().fold(0.0, |widest: f64, &w| widest.max(w));
-        let shift = if widest > 0.0 { exponent_of(widest) + 2 } else { 0 };
         // Coordinates that all points share play no part, however large they are.
-        let scale = |values: &[f64]| -> Vec<f64> {
-            let widths = half_widths.iter().cycle();
-            let scaled = |(&v, &w): (&f64, &f64)| if w > 0.0 { times_power_of_two(v, -shift) } else { 0.0 };
-            values.iter().zip(widths).map(scaled).collect()
+        let kept: Vec<usize> = (0..dim).filter(|&k| reach[k].0 < reach[k].1).collect();
+        let Some(shift) = kept.iter().map(|&k| width_exponent(reach[k]) + 1).max() else {
+            let zeros = |values: &[f64]| vec![0.0; values.len() / dim];
+            return Ok(Self::assemble(zeros(x), zeros(y), 1, metric, 0, 0.0));
         };
-        let (x, y) = (scale(x), scale(y));
-        let zero = vec![0.0; dim];
-        let sides: Vec<f64> = half_widths.iter().map(|&w| 2.0 * times_power_of_two(w, -shift)).collect();
-        let bound = distance(&sides, &zero, metric);
-        Ok(Self::assemble(x, y, dim, metric, shift, bound))
+        let scaled = |v: f64| times_power_of_two(v, -shift);
+        let scale = |values: &[f64]| -> Vec<f64> {
+            values.chunks_exact(dim).flat_map(|point| kept.iter().map(|&k| scaled(point[k]))).collect()
+        };
+        // The root of a square is exact on a line, except where the square vanishes.
+        let metric = if kept.len() == 1 && metric == Metric::Euclidean { Metric::CityBlock } else { metric };
+        let (low, high): (Vec<f64>, Vec<f64>) = kept.iter().map(|&k| (scaled(reach[k].0), scaled(reach[k].1))).unzip();
+        let bound = distance(&high, &low, metric);
+        Ok(Self::assemble(scale(x), scale(y), kept.len(), metric, shift, bound))
     }
 
     fn assemble(x: Vec<f64>, y: Vec<f64>, dim: usize, metric: Metric, shift: i32, bound: f64) -> Self {
@@ -69,6 +67,12 @@ impl Points {
             }
         }
         Self { x, y, blocks, dim, metric, shift, bound }
+    }
+
+    /// Coordinates that play a part, at least one.
+    #[must_use]
+    pub fn dim(&self) -> usize {
+        self.dim
     }
 
     /// The scaled coordinates of both sets.
@@ -86,8 +90,14 @@ impl Points {
     }
 }
 
+/// The exponent of a width or the one above, though the width may be beyond the range of numbers.
+fn width_exponent((low, high): (f64, f64)) -> i32 {
+    let half = high / 2.0 - low / 2.0;
+    if half < f64::MIN_POSITIVE { exponent_of(high - low) } else { exponent_of(half) + 1 }
+}
+
 /// Refuses an empty set and coordinates that are not finite.
-fn check_points(name: &str, points: &[f64], dim: usize) -> Result<(), OtError> {
+pub(crate) fn check_points(name: &str, points: &[f64], dim: usize) -> Result<(), OtError> {
     if dim == 0 || points.is_empty() {
         return Err(bad(format!("{name} is empty: give at least one point with one coordinate")));
     }
@@ -197,6 +207,10 @@ impl Cost for Points {
         self.bound
     }
 
+    fn floor(&self) -> f64 {
+        0.0
+    }
+
     fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64 {
         if scaled > SAFE_COST && self.exponent().abs() < SAFE_EXPONENT {
             return times_power_of_two(scaled, self.exponent());
@@ -216,5 +230,28 @@ impl Cost for Points {
 
     fn exponent(&self) -> i32 {
         if self.metric == Metric::SqEuclidean { 2 * self.shift } else { self.shift }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coordinates_that_all_points_share_are_left_out() {
+        let points =
+            Points::new(&[1e300, 3.0, 7.0, 1e300, 3.0, 9.0], &[1e300, 3.0, 4.0], 3, Metric::Euclidean).unwrap();
+        assert_eq!((points.dim(), points.unscaled(0, 0), points.unscaled(1, 0)), (1, 3.0, 5.0));
+        let same = Points::new(&[2.0, 5.0], &[2.0, 5.0, 2.0, 5.0], 2, Metric::Euclidean).unwrap();
+        assert_eq!((same.dim(), same.rows(), same.cols(), same.unscaled(0, 1)), (1, 1, 2, 0.0));
+    }
+
+    #[test]
+    fn the_least_width_is_a_width() {
+        for (low, high) in [(0.0, 5e-324), (-5e-324, 5e-324), (1e-310, 3e-310), (0.0, 1.7e308), (-1.7e308, 1.7e308)] {
+            let points = Points::new(&[low], &[high], 1, Metric::Euclidean).unwrap();
+            assert!((0.25..=1.0).contains(&points.at(0, 0)) && points.at(0, 0) <= points.bound());
+            assert_eq!(points.unscaled(0, 0), high - low);
+        }
     }
 }

@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use crate::cost::Metric;
 use crate::matrix::Matrix;
 use crate::scan::Workers;
-use crate::{OtError, Solution, between_points, with_cost};
+use crate::{OtError, Solution, between_numbers, between_points, with_cost};
 
 type Weights<'py> = Option<PyReadonlyArray1<'py, f64>>;
 type Floats<'py> = Bound<'py, PyArray1<f64>>;
@@ -94,6 +94,22 @@ fn solve_points<'py>(
     run(py, |go_on| between_points(x, y, dim, metric, weights, &Workers::new(threads)?, go_on))
 }
 
+/// Exact transport between numbers at most about one apart, at the cost |x - y|^order; contiguous float64 arrays.
+#[pyfunction]
+#[pyo3(signature = (x, y, a, b, order))]
+fn solve_numbers<'py>(
+    py: Python<'py>,
+    x: PyReadonlyArray1<'py, f64>,
+    y: PyReadonlyArray1<'py, f64>,
+    a: Weights<'py>,
+    b: Weights<'py>,
+    order: f64,
+) -> PyResult<Answer<'py>> {
+    let (x, y) = (x.as_slice()?, y.as_slice()?);
+    let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
+    run(py, |_| between_numbers(x, y, order, weights))
+}
+
 /// Exact transport for a C-contiguous float64 cost matrix of shape (n, m).
 #[pyfunction]
 #[pyo3(signature = (cost, a, b, threads))]
@@ -114,6 +130,7 @@ fn solve_matrix<'py>(
 #[pymodule]
 fn _rust_ot(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(solve_points, module)?)?;
+    module.add_function(wrap_pyfunction!(solve_numbers, module)?)?;
     module.add_function(wrap_pyfunction!(solve_matrix, module)?)?;
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! The answer in the caller's units, and the last checks it has to pass.
 
-use crate::certificate::{GAP, Potentials, certify};
+use crate::certificate::{Excuse, GAP, Potentials, certify};
 use crate::cost::Cost;
 use crate::error::{OtError, bad};
 use crate::mass::Mass;
@@ -41,7 +41,7 @@ fn total<M: Mass>(arcs: &[(usize, usize, M)], prices: &[f64], masses: &Masses<M>
     sum.value() * (masses.unit / scale)
 }
 
-/// Certifies a plan and brings everything back to the caller's units; the last attempt may leave what rounding leaves.
+/// Certifies a plan and brings everything back to the caller's units.
 ///
 /// # Errors
 /// `NotOptimal` when the certificate fails, `BadInput` when the answer lies outside the range of numbers.
@@ -51,14 +51,14 @@ pub fn conclude<M: Mass>(
     potentials: &Potentials,
     weights: Weights<'_>,
     masses: &Masses<M>,
-    last: bool,
+    excuse: Excuse,
 ) -> Result<Solution, OtError> {
     arcs.sort_unstable();
     let prices: Vec<f64> = arcs.iter().map(|&(i, j, _)| cost.at(i, j)).collect();
-    let moved = prices.iter().any(|&price| price != 0.0);
     let primal = total(arcs, &prices, masses);
-    let gap = certify(arcs, &prices, primal, potentials, weights, masses, last)?;
+    let gap = certify(arcs, &prices, primal, potentials, weights, masses, excuse)?;
     let paid: Vec<f64> = arcs.iter().zip(&prices).map(|(arc, &price)| cost.unscale(arc.0, arc.1, price)).collect();
+    let moved = prices.iter().chain(&paid).any(|&price| price != 0.0);
     let total = total(arcs, &paid, masses) * masses.total_rows;
     let smallest = primal != 0.0 && total.abs() < f64::MIN_POSITIVE;
     let rescaled =

@@ -68,6 +68,10 @@ impl Cost for Stored<'_> {
         self.of.get().bound()
     }
 
+    fn floor(&self) -> f64 {
+        self.of.get().floor()
+    }
+
     fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64 {
         self.of.get().unscale(row, col, scaled)
     }

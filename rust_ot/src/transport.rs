@@ -1,16 +1,18 @@
 //! Chooses the method for a problem and runs it.
 
 use crate::careful;
-use crate::certificate::Potentials;
+use crate::certificate::{Excuse, Potentials};
+use crate::clipped::{self, Clipped, largest_price};
 use crate::coarse_to_fine::{self, Optimum};
 use crate::cost::{Cost, Metric};
 use crate::error::OtError;
+use crate::line::{self, Line};
 use crate::mass::Mass;
 use crate::masses::{Masses, Weights, fine_masses, integer_masses};
 use crate::merge::{Groups, split};
 use crate::one_dim;
-use crate::points::Points;
-use crate::precise::{square, two_sum};
+use crate::points::{Points, check_points};
+use crate::precise::{Pair, square, two_sum};
 use crate::scan::Workers;
 use crate::solution::{Solution, conclude};
 use crate::watch::Watch;
@@ -32,35 +34,62 @@ pub fn between_points(
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Solution, OtError> {
     let points = Points::new(x, y, dim, metric)?;
-    if dim > 1 {
+    if points.dim() > 1 {
         return with_cost(&points, weights, workers, go_on);
     }
-    let masses = integer_masses(weights.0, weights.1, points.rows(), points.cols())?;
-    match on_a_line(&points, metric, weights, &masses, false) {
-        Err(OtError::NotOptimal(_)) => on_a_line(&points, metric, weights, &fine_masses(weights, &masses), true),
-        answer => answer,
-    }
-}
-
-fn on_a_line<M: Mass>(
-    points: &Points,
-    metric: Metric,
-    weights: Weights<'_>,
-    masses: &Masses<M>,
-    last: bool,
-) -> Result<Solution, OtError> {
     let (x, y) = points.scaled();
-    let mut line = one_dim::solve(x, y, masses, |x, y| {
+    on_a_line(&points, (x, y), weights, |x, y| {
         let (near, rest) = two_sum(x, -y);
         match metric {
             Metric::SqEuclidean => square((near, rest)),
             Metric::Euclidean | Metric::CityBlock if near < 0.0 => (-near, -rest),
             Metric::Euclidean | Metric::CityBlock => (near, rest),
         }
-    });
-    let potentials = Potentials { alpha: line.alpha, beta: line.beta };
-    conclude(points, &mut line.arcs, &potentials, weights, masses, last)
+    })
 }
+
+/// Exact transport between numbers that are at most about one apart, at the cost `|x - y|^order`, `order >= 1`.
+///
+/// # Errors
+/// As for [`between_points`].
+pub fn between_numbers(x: &[f64], y: &[f64], order: f64, weights: Weights<'_>) -> Result<Solution, OtError> {
+    check_points("x", x, 1)?;
+    check_points("y", y, 1)?;
+    let line = Line::new(x, y, order);
+    on_a_line(&line, line.numbers(), weights, |x, y| (line::price(x, y, order), 0.0))
+}
+
+/// Solves a cost that is a convex function of the difference of numbers.
+fn on_a_line(
+    cost: &dyn Cost,
+    (x, y): (&[f64], &[f64]),
+    weights: Weights<'_>,
+    price: impl Fn(f64, f64) -> Pair,
+) -> Result<Solution, OtError> {
+    fn attempt<M: Mass>(
+        cost: &dyn Cost,
+        (x, y): (&[f64], &[f64]),
+        weights: Weights<'_>,
+        masses: &Masses<M>,
+        price: impl Fn(f64, f64) -> Pair,
+        excuse: Excuse,
+    ) -> Result<Solution, OtError> {
+        let mut line = one_dim::solve(x, y, masses, price);
+        let potentials = Potentials { alpha: line.alpha, beta: line.beta, exact: false };
+        conclude(cost, &mut line.arcs, &potentials, weights, masses, excuse)
+    }
+    let masses = integer_masses(weights.0, weights.1, cost.rows(), cost.cols())?;
+    match attempt(cost, (x, y), weights, &masses, &price, Excuse::Nothing) {
+        Err(OtError::NotOptimal(_)) => {
+            attempt(cost, (x, y), weights, &fine_masses(weights, &masses), &price, Excuse::Order)
+        }
+        answer => answer,
+    }
+}
+
+/// How much narrower the costs must become for another attempt to be worth it, and how many attempts there are.
+const NARROWER: f64 = 0.25;
+const ATTEMPTS: usize = 6;
 
 /// Exact transport for any cost.
 ///
@@ -75,29 +104,71 @@ pub fn with_cost(
     let masses = integer_masses(weights.0, weights.1, cost.rows(), cost.cols())?;
     let pivots = 1_000_000 + 2_000 * (cost.rows() + cost.cols()) as u64;
     let watch = &mut Watch::new(go_on, pivots);
-    let (mut arcs, potentials) = solve_distinct(cost, &masses, workers, watch)?;
-    match conclude(cost, &mut arcs, &potentials, weights, &masses, false) {
-        Err(OtError::NotOptimal(_)) => {}
-        answer => return answer,
+    let mut limit = cost.bound();
+    let mut plan = solve_distinct(cost, limit, &masses, workers, watch)?;
+    let mut attempts = 1;
+    loop {
+        match conclude(cost, &mut plan.0, &plan.1, weights, &masses, Excuse::Nothing) {
+            Err(OtError::NotOptimal(_)) => {}
+            answer => return answer,
+        }
+        let price = largest_price(cost, &plan.0);
+        if price <= cost.floor() {
+            // No plan pays less; potentials that are all alike say so.
+            let alike = |cost: &dyn Cost, _: &[i64], _: &[i64]| {
+                Ok(Optimum { arcs: Vec::new(), u: vec![price; cost.rows()], v: vec![0.0; cost.cols()] })
+            };
+            let (_, mut potentials) = solve_heavy(cost, &masses.rows, &masses.cols, alike)?;
+            potentials.exact = true;
+            match conclude(cost, &mut plan.0, &potentials, weights, &masses, Excuse::Nothing) {
+                Err(OtError::NotOptimal(_)) => break,
+                answer => return answer,
+            }
+        }
+        let next = clipped::limit(cost, price);
+        if attempts == ATTEMPTS || next >= NARROWER * limit {
+            break;
+        }
+        (limit, attempts) = (next, attempts + 1);
+        match solve_distinct(cost, limit, &masses, workers, watch) {
+            Err(OtError::NotOptimal(_)) => break,
+            answer => plan = answer?,
+        }
     }
     if cost.rows() * cost.cols() <= CAREFUL_PAIRS {
-        match with_care(cost, weights, &fine_masses(weights, &masses), watch) {
+        match with_care(cost, limit, weights, &fine_masses(weights, &masses), watch) {
             Err(OtError::NotOptimal(_)) => {}
             answer => return answer,
         }
     }
-    conclude(cost, &mut arcs, &potentials, weights, &masses, true)
+    conclude(cost, &mut plan.0, &plan.1, weights, &masses, Excuse::Rounding)
 }
 
 fn with_care<M: Mass>(
     cost: &dyn Cost,
+    mut limit: f64,
     weights: Weights<'_>,
     masses: &Masses<M>,
     watch: &mut Watch<'_>,
 ) -> Result<Solution, OtError> {
-    let solve = |cost: &dyn Cost, rows: &[M], cols: &[M]| careful::solve(cost, rows, cols, watch);
-    let (mut arcs, potentials) = solve_heavy(cost, &masses.rows, &masses.cols, solve)?;
-    conclude(cost, &mut arcs, &potentials, weights, masses, true)
+    let mut attempts = 1;
+    loop {
+        let solve =
+            |cost: &dyn Cost, rows: &[M], cols: &[M]| careful::solve(&Clipped::new(cost, limit), rows, cols, watch);
+        let (mut arcs, mut potentials) = solve_heavy(cost, &masses.rows, &masses.cols, solve)?;
+        potentials.exact = true;
+        match conclude(cost, &mut arcs, &potentials, weights, masses, Excuse::Nothing) {
+            Err(OtError::NotOptimal(_)) => {}
+            answer => return answer,
+        }
+        // Light points, which coarser masses left out, may pay more than the limit allows.
+        let price = largest_price(cost, &arcs);
+        let next = clipped::limit(cost, price);
+        if attempts == ATTEMPTS || (price <= limit && next >= NARROWER * limit) {
+            return conclude(cost, &mut arcs, &potentials, weights, masses, Excuse::Rounding);
+        }
+        (limit, attempts) = (next, attempts + 1);
+    }
 }
 
 type Arcs<M> = Vec<(usize, usize, M)>;
@@ -107,14 +178,21 @@ type Arcs<M> = Vec<(usize, usize, M)>;
 const WORTH_MERGING: f64 = 0.8;
 const WORTH_MERGING_EQUAL: f64 = 0.3;
 
-/// Solves with equal points as one where there are many.
+/// Solves with equal points as one where there are many, and costs clipped at a limit.
 fn solve_distinct(
     cost: &dyn Cost,
+    limit: f64,
     masses: &Masses,
     workers: &Workers,
     watch: &mut Watch<'_>,
 ) -> Result<(Arcs<i64>, Potentials), OtError> {
-    let solve = |cost: &dyn Cost, rows: &[i64], cols: &[i64]| coarse_to_fine::solve(cost, rows, cols, workers, watch);
+    // Points without mass, whose weight may have been too light for any, get potentials of the true costs.
+    let solve = |cost: &dyn Cost, rows: &[i64], cols: &[i64]| {
+        if limit < cost.bound() {
+            return coarse_to_fine::solve(&Clipped::new(cost, limit), rows, cols, workers, watch);
+        }
+        coarse_to_fine::solve(cost, rows, cols, workers, watch)
+    };
     let (n, m) = (cost.rows(), cost.cols());
     let (rows, cols) = (cost.groups(true), cost.groups(false));
     let len = |groups: &Option<Groups>, all: usize| groups.as_ref().map_or(all, |groups| groups.first.len());
@@ -128,7 +206,7 @@ fn solve_distinct(
     let merged = (rows.gather(&masses.rows), cols.gather(&masses.cols));
     let (arcs, best) = solve_heavy(&*part, &merged.0, &merged.1, solve)?;
     let arcs = split(arcs, (&rows, &masses.rows), (&cols, &masses.cols));
-    Ok((arcs, Potentials { alpha: rows.spread(&best.alpha), beta: cols.spread(&best.beta) }))
+    Ok((arcs, Potentials { alpha: rows.spread(&best.alpha), beta: cols.spread(&best.beta), exact: false }))
 }
 
 /// Solves for the atoms that have mass, and gives the others potentials that fit.
@@ -142,7 +220,7 @@ fn solve_heavy<M: Mass>(
     let (rows, cols) = (heavy(row_masses), heavy(col_masses));
     if rows.len() == cost.rows() && cols.len() == cost.cols() {
         let best = solve(cost, row_masses, col_masses)?;
-        return Ok((best.arcs, Potentials { alpha: best.u, beta: best.v }));
+        return Ok((best.arcs, Potentials { alpha: best.u, beta: best.v, exact: false }));
     }
     let part = cost.subset(&rows, &cols);
     let row_masses: Vec<M> = rows.iter().map(|&i| row_masses[i]).collect();
@@ -169,5 +247,5 @@ fn solve_heavy<M: Mass>(
         cost.fill_row(i, &mut row_costs);
         *alpha = row_costs.iter().zip(&beta).fold(f64::INFINITY, |least, (c, b)| least.min(c - b));
     }
-    Ok((arcs, Potentials { alpha, beta }))
+    Ok((arcs, Potentials { alpha, beta, exact: false }))
 }

@@ -2,10 +2,11 @@
 
 use proptest::prelude::*;
 use rust_ot::cost::{Cost, Metric};
+use rust_ot::line::Line;
 use rust_ot::matrix::Matrix;
 use rust_ot::points::Points;
 use rust_ot::scan::Workers;
-use rust_ot::{OtError, Solution, between_points, with_cost};
+use rust_ot::{OtError, Solution, between_numbers, between_points, with_cost};
 
 fn least_assignment(costs: &[f64], n: usize) -> f64 {
     fn descend(costs: &[f64], n: usize, row: usize, used: u32) -> f64 {
@@ -105,6 +106,29 @@ proptest! {
     }
 
     #[test]
+    fn forbidden_pairs_of_any_cost_leave_the_best_shipment(
+        supply in proptest::collection::vec(1u32..3, 3),
+        costs in proptest::collection::vec((0u8..8, any::<bool>()), 9),
+        exponent in 4i32..300,
+    ) {
+        // What each row has may stay in its own column, so that a plan without forbidden pairs exists.
+        let priced = |forbidden: f64| -> Vec<f64> {
+            let price = |(k, &(cost, free)): (usize, &(u8, bool))| {
+                if free || k % 4 == 0 { f64::from(cost) / 8.0 } else { forbidden }
+            };
+            costs.iter().enumerate().map(price).collect()
+        };
+        let weights: Vec<f64> = supply.iter().map(|&units| f64::from(units)).collect();
+        let expected = least_shipment(&priced(1e3), &mut supply.clone(), &mut supply.clone());
+        let costs = priced(10f64.powi(exponent));
+        let matrix = Matrix::new(&costs, 3).unwrap();
+        let weights = (Some(&weights[..]), Some(&weights[..]));
+        let solution = with_cost(&matrix, weights, &Workers::new(1).unwrap(), &mut || true).unwrap();
+        prop_assert!((solution.cost - expected).abs() < 1e-12, "{} instead of {expected}", solution.cost);
+        prop_assert!(solution.gap.abs() <= 1e-12 * solution.cost);
+    }
+
+    #[test]
     fn every_answer_carries_its_proof(
         x in points(1..30, 2), y in points(1..30, 2), seed in 0u32..1000, kind in 0..3usize,
     ) {
@@ -126,6 +150,17 @@ proptest! {
         let by_sorting = between_points(&x, &y, 1, metric, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
         let by_simplex = with_cost(&cost, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
         prop_assert!((by_sorting.cost - by_simplex.cost).abs() < 1e-12);
+        check(&by_sorting, &cost, &vec![1.0 / x.len() as f64; x.len()], &vec![1.0 / y.len() as f64; y.len()])?;
+    }
+
+    #[test]
+    fn every_order_on_a_line_is_sorting(x in points(1..20, 1), y in points(1..20, 1), order in 1.0..5.0f64) {
+        let unit = |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v / 16.0).collect() };
+        let (x, y) = (unit(&x), unit(&y));
+        let cost = Line::new(&x, &y, order);
+        let by_sorting = between_numbers(&x, &y, order, (None, None)).unwrap();
+        let by_simplex = with_cost(&cost, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
+        prop_assert!((by_sorting.cost - by_simplex.cost).abs() < 1e-13);
         check(&by_sorting, &cost, &vec![1.0 / x.len() as f64; x.len()], &vec![1.0 / y.len() as f64; y.len()])?;
     }
 }

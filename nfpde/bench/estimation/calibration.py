@@ -67,7 +67,7 @@ def calibrate(
     Args:
         out: folder of the table; the rest lies in `calibration/` in it.
         robots: names of benchmark robots.
-        problems: of each robot.
+        problems: of each robot; more that are finished already stay.
         quick: a few tiny problems of the pendulum instead, in `calibration_quick/`.
         budget_minutes: no further problem is begun after so long.
         device: where the fits are simulated; the table of another one than the CPU is `calibration_<device>`.
@@ -108,7 +108,13 @@ def _robot(
         "settings": asdict(settings),
         **facts_of_device(robot(name), device),
     }
-    stages = Stages(folder, f"{name}_anew" if anew else name, facts, budget)
+    stem = f"{name}_anew" if anew else name
+    stages = Stages(folder, stem, facts, budget)
+    before = max((int(i) + 1 for i in stages.done), default=0)
+    if before > count:
+        # finished problems cost hours: fewer asked for are no reason to drop them
+        count = before
+        stages = Stages(folder, stem, {**facts, "problems": count}, budget)
     if stages.finished() is not None:
         return True
     complete = True

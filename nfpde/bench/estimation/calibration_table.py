@@ -38,6 +38,9 @@ def table(folder: Path, command: str) -> str:
     """Everything in the folder, finished or not, Markdown."""
     lines, off, judged = [], [], 0
     for path in sorted(folder.glob("*.json")):
+        if path.with_suffix(".part.json").is_file():
+            # more problems are being added; the unfinished file holds the finished ones too
+            continue
         content = summary(read_json(path, SCHEMA_VERSION))
         lines += _section(content, f"{folder.name}/{path.name.partition('.')[0]}.png")
         off += _off(content)

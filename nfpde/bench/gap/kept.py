@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -11,10 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from nfpde.bench import code
 from nfpde.bench.gap.score import Row
 from nfpde.errors import BadInput
-
-PACKAGE = Path(__file__).parents[2]
 
 DECIDES = ("bench/gap", "dataset", "effects", "gap", "kernels", "sim")
 """Folders of what draws the systems, answers, and judges; files elsewhere count if one of these imports them."""
@@ -33,10 +30,7 @@ ON_WARP = ("kernels/", "sim/warp")
 @cache
 def fingerprint(device: str = "cpu") -> str:
     """16 hex digits that change with the text of any file that a row measured on a device depends on."""
-    digest = hashlib.sha256()
-    for path in sorted(deciding(device)):
-        digest.update(f"{path.relative_to(PACKAGE).as_posix()}\n".encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return code.digest_of(deciding(device))
 
 
 def deciding(device: str = "cpu") -> set[Path]:
@@ -45,44 +39,17 @@ def deciding(device: str = "cpu") -> set[Path]:
     Args:
         device: where it was measured; MuJoCo Warp decides nothing on `cpu`.
     """
-    found: set[Path] = set()
-    waiting = [p for folder in DECIDES for p in (PACKAGE / folder).rglob("*") if p.suffix in (".py", ".xml", ".toml")]
-    waiting = [p for p in waiting if p.parent != PACKAGE / "bench" / "gap" or p.name not in SHOWS]
-    while waiting:
-        path = waiting.pop()
-        if path not in found and not (device == "cpu" and _on_warp(path)):
-            found.add(path)
-            waiting += _imports(path) if path.suffix == ".py" else []
-    return found
+    here = code.PACKAGE / "bench" / "gap"
+    files = [p for p in code.files_in(DECIDES) if p.parent != here or p.name not in SHOWS]
+    return code.with_imports(files, lambda path: device == "cpu" and _on_warp(path))
 
 
 def _on_warp(path: Path) -> bool:
-    return path.relative_to(PACKAGE).as_posix().startswith(ON_WARP)
-
-
-def _imports(path: Path) -> list[Path]:
-    """Files of this package that a file imports by name, wherever in it; packages above them have no part."""
-    names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and not node.level and node.module:
-            names += [f"{node.module}.{alias.name}" for alias in node.names]
-        elif isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-    return [file for name in names if name.startswith("nfpde.") and (file := _file_of(name.split(".")[1:]))]
-
-
-def _file_of(parts: list[str]) -> Path | None:
-    """The file of a module, or of the module that has the name in it."""
-    for end in (len(parts), len(parts) - 1):
-        place = PACKAGE.joinpath(*parts[:end])
-        for file in (place.with_suffix(".py"), place / "__init__.py"):
-            if end and file.is_file():
-                return file
-    return None
+    return path.relative_to(code.PACKAGE).as_posix().startswith(ON_WARP)
 
 
 def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
-    """Rows by number, from a table's JSON file; none where it is of other code, systems or settings.
+    """Rows by number, from a table's JSON file.
 
     A table of hundreds of systems takes hours, and need not be measured in one go or on one machine.
 
@@ -91,7 +58,7 @@ def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
         facts: of the table to be made, see `SAME`.
 
     Raises:
-        BadInput: the file is not what a table writes.
+        BadInput: the file is not what a table writes, or of other code, systems or settings.
     """
     if not path.is_file():
         return {}
@@ -99,8 +66,12 @@ def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
         old = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise BadInput(f"{path} is not JSON ({error}); delete it, or give another folder for the tables") from None
-    if any(key not in old or old[key] != facts[key] for key in SAME):
-        return {}
+    for key in SAME:
+        if old.get(key) != facts[key]:
+            raise BadInput(
+                f"{path} is a table with {key} {old.get(key)!r}, this one has {facts[key]!r}; give another folder for "
+                "the tables, or move that table"
+            )
     return {row["index"]: _read(row) for row in old["rows"]}
 
 

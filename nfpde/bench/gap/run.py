@@ -47,12 +47,13 @@ def run(
 ) -> list[Row]:
     """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
 
-    Finished is what lies in the folder, and what a gap.json in `out` tells of the same systems, settings and code.
+    Finished is what lies in the folder, and what a gap.json in `out` tells of the same systems, settings and code; all
+    that it tells stays in the table. One of others is never replaced.
 
     Args:
         seed: seed of the systems; none that anything was tried on before.
         out: folder for the tables.
-        cases: number of systems.
+        cases: number of systems; the table has more where it had more before.
         jobs: systems at a time, each on a share of the cores.
         quick: 12 systems at most, tables named gap_quick.
         limit: wall time for one diagnosis [s]; longer is a failure.
@@ -64,7 +65,8 @@ def run(
         One row a case.
 
     Raises:
-        BadInput: cases or jobs below 1, a limit that is not positive, no such device, or kept cases of another command.
+        BadInput: cases or jobs below 1, a limit that is not positive, no such device, or kept cases or a table of
+            another seed, command, limit or code.
         KeyboardInterrupt: after writing the table of what is finished.
     """
     _check(cases, jobs, limit)
@@ -74,25 +76,27 @@ def run(
     device = "cpu" if device == "auto" else device
     folder = folder or Path("runs") / f"gap-{seed}"
     cases = min(cases, QUICK_CASES) if quick else cases
-    folder.mkdir(parents=True, exist_ok=True)
-    facts = _facts(seed, cases, limit, quick, device) | {"diagnosis": list(command[1:])}
-    settings = {"seed": seed, "limit": limit, "command": list(command)}
-    _check_kept(folder, settings | {name: facts[name] for name in ("versions", "code")})
+    facts = _facts(seed, limit, device) | {"diagnosis": list(command[1:])}
     name = "gap" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
-    every = [Case(seed, index, folder, command, limit) for index in range(cases)]
     kept = kept_rows(out / f"{name}.json", facts)
+    settings = {"seed": seed, "limit": limit, "command": list(command)}
+    folder.mkdir(parents=True, exist_ok=True)
+    _check_kept(folder, settings | {name: facts[name] for name in ("versions", "code")})
+    total = max([cases, *(index + 1 for index in kept)])
+    every = [Case(seed, index, folder, command, limit) for index in range(total)]
     stopped = False
     try:
-        _work([case for case in every if not finished(case) and case.index not in kept], cases, jobs)
+        _work([case for case in every[:cases] if not finished(case) and case.index not in kept], cases, jobs)
     except KeyboardInterrupt:
         stopped = True
     rows = [_row(c) if finished(c) else kept[c.index] for c in every if finished(c) or c.index in kept]
     if rows:
         ran_on = dict.fromkeys(row.device for row in rows if row.device) or [device]  # one that failed says nothing
-        _write(rows, facts | {"device": ", ".join(ran_on), "cases": cases}, out, name)
+        told = {"command": _command(seed, total, limit, quick, device), "device": ", ".join(ran_on), "cases": total}
+        _write(rows, facts | told, out, name)
     if stopped:
         raise KeyboardInterrupt(
-            f"the benchmark stopped; {len(rows)} of {cases} systems are finished, from which the same call goes on"
+            f"the benchmark stopped; {len(rows)} of {total} systems are finished, from which the same call goes on"
         )
     return rows
 
@@ -160,10 +164,13 @@ def _check_kept(folder: Path, settings: dict[str, Any]) -> None:
     write_whole(path, json.dumps(plain))
 
 
-def _facts(seed: int, cases: int, limit: float, quick: bool, device: str) -> dict[str, Any]:
+def _command(seed: int, cases: int, limit: float, quick: bool, device: str) -> str:
     options = (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
+    return f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}"
+
+
+def _facts(seed: int, limit: float, device: str) -> dict[str, Any]:
     return {
-        "command": f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}",
         "seed": seed,
         "limit": limit,
         "code": fingerprint(device),

@@ -29,6 +29,9 @@ STEP, WIDEST = 1e-4, 0.01
 SLOPES = 1e-7
 """Share of the largest eigenvalue of information from one-sided differences below which another is their error."""
 
+FEWEST = 4
+"""Moments of which half lie between the quartiles: of two, none does."""
+
 WORTH = 1.5
 """Least gain in information that is worth asking for."""
 
@@ -197,9 +200,11 @@ def _information(problem: Problem, windows: Windows, xi: Array, taking: list[int
     slopes, squares = (a[np.isfinite(squares).all(1)] for a in (slopes, squares))
     if not len(slopes):
         return np.zeros((len(taking),) * 2)
-    # a contact that opens within the step is a jump and no information: the middle half of the moments counts
+    # a contact that opens within the step is a jump and no information: the middle half of the moments counts, and
+    # all where they are too few to have one
     size = np.median(squares, axis=0)
     loudest = (squares / np.where(size > 0, size, np.inf)).max(1)
     low, high = np.quantile(loudest, (0.25, 0.75))
-    slopes = slopes[(loudest >= low) & (loudest <= high)]
+    if len(slopes) >= FEWEST:
+        slopes = slopes[(loudest >= low) & (loudest <= high)]
     return without_rounding(np.einsum("nic,njc->ij", slopes, slopes) / len(slopes), SLOPES)

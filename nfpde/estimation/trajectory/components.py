@@ -12,6 +12,9 @@ from nfpde.estimation.trajectory.noise import Scatter
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-13
+"""Share of the largest eigenvalue, channels scaled to equal variance, below which one is a rounding error."""
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -112,12 +115,13 @@ def _riccati(process: Array, shown: Array, expected: Array) -> Array:
     """X with X expected X = process shown process, positive definite: the MM step of a full covariance."""
     size = np.sqrt(np.diag(process))
     q, target, weight = (process / np.outer(size, size), *(m * np.outer(size, size) for m in (shown, expected)))
-    lower = np.linalg.cholesky(weight + 1e-14 * np.trace(weight) / len(weight) * np.eye(len(weight)))
-    values, vectors = np.linalg.eigh(lower.T @ q @ target @ q @ lower)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    half = np.linalg.solve(lower.T, root)
-    found = np.linalg.solve(lower.T, half.T)
-    return 0.5 * (found + found.T) * np.outer(size, size)
+    values, vectors = np.linalg.eigh(weight)
+    # of residuals that are nearly dependent the least are rounding errors, and may be negative
+    lengths = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    side = q @ vectors * lengths
+    squares, turns = np.linalg.eigh(side.T @ target @ side)
+    half = (vectors / lengths) @ turns * np.maximum(squares, 0.0) ** 0.25
+    return half @ half.T * np.outer(size, size)
 
 
 def _diagonal(process: Array, shown: Array, expected: Array) -> Array:
@@ -125,7 +129,21 @@ def _diagonal(process: Array, shown: Array, expected: Array) -> Array:
 
 
 def at_least(covariance: Array, floor: Array) -> Array:
-    """The covariance with no direction below the floor's variance."""
+    """The covariance with no direction below the floor's variance, or so far below the others' that it is rounding."""
     scaled = covariance / np.outer(floor, floor)
     values, vectors = np.linalg.eigh(scaled)
-    return (vectors * np.maximum(values, 1.0)) @ vectors.T * np.outer(floor, floor)
+    return definite((vectors * np.maximum(values, 1.0)) @ vectors.T * np.outer(floor, floor))
+
+
+def definite(covariance: Array) -> Array:
+    """The covariance with no combination of channels below rounding errors, so that it has a Cholesky factor.
+
+    The steps of one window of a clean recording are the same but for 1e-9, whose square double precision does not hold
+    beside 1. Channels count in their own standard deviations: their sizes may be as different as they like.
+    """
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    least = ROUNDING * values[-1]
+    if values[0] >= least:
+        return covariance
+    return (vectors * np.maximum(values, least)) @ vectors.T * np.outer(size, size)

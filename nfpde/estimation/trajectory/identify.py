@@ -34,6 +34,15 @@ TWO = 3.0
 SIMPLE = 0.25
 """How far a coefficient may be from 1 to be left out of the words."""
 
+PLAIN = 2.0
+"""Times the error of the sharpest combination that one in plain words may have: with coefficients rounded, or none."""
+
+DIGITS = range(2, 9)
+"""Significant digits of a coefficient: as few as leave what the words say that well known."""
+
+FINEST = 1e-5
+"""Share of a value below which the words give no figure."""
+
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
@@ -92,6 +101,10 @@ class Knowledge:
             return "not told by these recordings"
         return f"known to {_precision(self.space, i, self.value[i], self.std[i])}"
 
+    def tells(self, i: int) -> bool:
+        """Whether the recordings say anything of parameter i: one value, or several of which each is told."""
+        return bool(self.told[i] or self._several(i))
+
     def _several(self, i: int) -> str:
         """The values of parameter i that the recordings leave, where these are several, each of them told; else ""."""
         order = np.argsort(self.values[:, i], kind="stable")
@@ -116,18 +129,36 @@ class Knowledge:
         a, b = self.space[i], self.space[j]
         x, y, c = self.value[i], self.value[j], self.covariance
         factor = -c[i, j] / c[j, j]
-        error = np.sqrt(max(c[i, i] - c[i, j] ** 2 / c[j, j], 0.0))
         split = _percent(max(self.std[i] / abs(x), self.std[j] / abs(y)) if x and y else np.inf)
+        both = np.array([i, j])
         positive = a.low > 0 and b.low > 0
         if positive and factor < 0 and abs(-factor * y / x - 1) < SIMPLE:
             # in logs the coefficient is one: the ratio
-            return {"words": f"{a.name} / {b.name} is known to {_percent(error / x)}, their size only to {split}"}
-        same = a.unit == b.unit and abs(abs(factor) - 1) < SIMPLE
-        number = "" if same else f"{abs(factor):.2g} "
-        sign = "+" if factor > 0 else "-"
-        total = x + factor * y
-        known = _percent(error / abs(total)) if abs(total) > error else f"{error:.2g} {a.unit}".strip()
-        return {"words": f"{a.name} {sign} {number}{b.name} is known to {known}, their split only to {split}"}
+            error = self._error(both, np.array([1 / x, -1 / y]))
+            if error <= max(PLAIN * self._error(both, np.array([1.0, factor])) / x, FINEST):
+                return {"words": f"{a.name} / {b.name} is known to {_percent(error)}, their size only to {split}"}
+        return {"words": f"{self._combination(both, np.array([1.0, factor]))}, their split only to {split}"}
+
+    def _combination(self, members: NDArray[np.intp], v: Array) -> str:
+        """How well the combination v (k,) of parameters is known, v[0] = 1: in plain words where these say as much."""
+        most = max(PLAIN * self._error(members, v), FINEST * abs(float(v @ self.value[members])))
+        units = {self.space[i].unit for i in members}
+        shown, texts = np.sign(v), [""] * len(v)
+        if len(units) > 1 or (np.abs(np.abs(v) - 1) >= SIMPLE).any() or self._error(members, shown) > most:
+            for digits in DIGITS:
+                texts = ["", *(f"{abs(f):.{digits}g} " for f in v[1:])]
+                shown = np.sign(v) * np.array([1.0, *map(float, texts[1:])])
+                if self._error(members, shown) <= most:
+                    break
+        names = [text + self.space[i].name for i, text in zip(members, texts, strict=True)]
+        words = names[0] + "".join(f" {'+' if f > 0 else '-'} {t}" for f, t in zip(v[1:], names[1:], strict=True))
+        error, total = self._error(members, shown), abs(float(shown @ self.value[members]))
+        known = _percent(error / total) if total > error else f"{error:.2g} {self.space[members[0]].unit}".strip()
+        return f"{words} is known to {known}"
+
+    def _error(self, members: NDArray[np.intp], v: Array) -> float:
+        """Standard error of the combination v (k,) of parameters."""
+        return float(np.sqrt(max(v @ self.covariance[np.ix_(members, members)] @ v, 0.0)))
 
     def group(self) -> str:
         """The combination of three parameters or more that is known much better than each of them; "" for none.
@@ -145,15 +176,8 @@ class Knowledge:
         members, v = members[taking], v[taking] / scale[members[taking]]
         if len(members) < 3:
             return ""
-        v = v / v[0]
-        simple = len({self.space[i].unit for i in members}) == 1 and (np.abs(np.abs(v) - 1) < SIMPLE).all()
-        factors = [("" if simple else f"{abs(f):.2g} ") + self.space[i].name for i, f in zip(members, v, strict=True)]
-        words = factors[0] + "".join(f" {'+' if f > 0 else '-'} {t}" for f, t in zip(v[1:], factors[1:], strict=True))
-        error = float(np.sqrt(max(v @ self.covariance[np.ix_(members, members)] @ v, 0.0)))
-        total = abs(float(v @ self.value[members]))
-        known = _percent(error / total) if total > error else f"{error:.2g} {self.space[members[0]].unit}".strip()
         worst = max(float(self.std[i] / abs(self.value[i])) if self.value[i] else np.inf for i in members)
-        return f"{words} is known to {known}, their split only to {_percent(worst)}"
+        return f"{self._combination(members, v / v[0])}, their split only to {_percent(worst)}"
 
 
 def describe_knowledge(rows: list[Knowledge]) -> dict[str, Any]:
@@ -166,7 +190,7 @@ def describe_knowledge(rows: list[Knowledge]) -> dict[str, Any]:
     space, total = rows[0].space, len(rows)
     parameters = {}
     for i, p in enumerate(space):
-        told = [k for k in rows if k.told[i]]
+        told = [k for k in rows if k.tells(i)]
         if told:
             middle = sorted(told, key=lambda k: float(k.std[i]))[len(told) // 2]
             words = middle.words(i) + (f" in {len(told)} of {total} robots" if len(told) < total else "")
@@ -201,4 +225,4 @@ def _precision(space: ParameterSpace, i: int, value: float, std: float) -> str:
 def _percent(share: float) -> str:
     if not np.isfinite(share):
         return "nothing"
-    return "better than 0.001 %" if share < 1e-5 else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
+    return "better than 0.001 %" if share < FINEST else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"

@@ -22,7 +22,7 @@ class Quadratic:
     centres: the modes z_j                                                 (J, D)
     heights: log likelihood there, up to a constant [nats]                 (J,)
     slopes: its gradient there: what the prior balances                    (J, D)
-    precisions: information F_j of the recordings                          (J, D, D)
+    precisions: curvature F_j of the recordings' log likelihood, negative  (J, D, D)
     """
 
     centres: Array
@@ -38,7 +38,7 @@ class Quadratic:
         log_prior = np.log(share * (1 - share)).sum(1)
         with np.errstate(divide="ignore"):
             heights = np.log(p.weights) - 0.5 * np.linalg.slogdet(p.covariances)[1] - log_prior
-        return cls(p.means, heights, 2 * share - 1, p.fisher)
+        return cls(p.means, heights, 2 * share - 1, p.fisher + p.bending)
 
     def log_likelihood(self, z: Array) -> Array:
         """Log likelihood at z (n, D), up to the same constant [nats], (n,)."""

@@ -49,20 +49,34 @@ def prior_information(z: Array) -> Array:
     return np.eye(z.shape[1]) * (2 * share * (1 - share))[:, :, None]
 
 
+def box_bending(z: Array) -> Array:
+    """Curvature of the negative log likelihood at modes z that Gauss-Newton leaves out, (K, D) to (K, D, D).
+
+    With xi = low + width s, s = sigmoid(z), the second derivative of log L by z has the term dL/dxi d2xi/dz2, which is
+    dL/dz (1 - 2 s). At a mode of the posterior dL/dz balances the prior's 1 - 2 s, so that the term is -(1 - 2 s)^2:
+    nothing for a parameter that is not told, next to nothing for one that is told well, and all there is for one that
+    the recordings push against a bound.
+    """
+    return np.eye(z.shape[1]) * ((1 - 2 * expit(z)) ** 2)[:, :, None]
+
+
 @dataclass(frozen=True, eq=False)
 class LocalPosterior:
     """One robot's posterior in z: a mixture of Gaussians, one around every mode (Laplace's approximation).
 
     weights: share of each mode                                            (K,)
     means: the modes                                                       (K, D)
-    covariances: inverse Gauss-Newton matrices, prior included             (K, D, D)
+    covariances: inverse curvatures, prior included                        (K, D, D)
     fisher: information of the recordings alone about z, at every mode     (K, D, D)
+    bending: what else the box adds to the curvature of the likelihood, see `box_bending`; zero for links of a
+        ridge, which are no modes                                          (K, D, D)
     """
 
     weights: Array
     means: Array
     covariances: Array
     fisher: Array
+    bending: Array | float = 0.0
 
 
 def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
@@ -72,8 +86,9 @@ def local_posteriors(c: Candidates, robots: int) -> list[LocalPosterior]:
         own = np.flatnonzero(c.robot == g)
         own = own[np.argsort(c.cost[own], kind="stable")]
         fisher = np.stack([without_rounding(f) for f in c.data_information[own]])
-        covariances = inverse(fisher + prior_information(c.z[own]))
+        bending = box_bending(c.z[own])
+        covariances = inverse(fisher + bending + prior_information(c.z[own]))
         evidence = -0.5 * c.cost[own] + 0.5 * np.linalg.slogdet(covariances)[1]
         weights = np.exp(evidence - evidence.max())
-        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, fisher))
+        result.append(LocalPosterior(weights / weights.sum(), c.z[own], covariances, fisher, bending))
     return result

@@ -67,10 +67,11 @@ class Pool:
         self, problem: Problem, noise: Noise, proposals: list[Gaussians], draws: int, rng: np.random.Generator
     ) -> None:
         """Draw `draws` points for every robot from its proposal and simulate its recordings with them."""
-        fresh = np.stack([np.clip(p.sample(draws, rng), -FARTHEST, FARTHEST) for p in proposals])
+        fresh = np.stack([p.sample(draws, rng) for p in proposals])
         robots, _, d = fresh.shape
         owner = np.repeat(np.arange(robots), draws)
-        xi = problem.simulator.space.to_physical(fresh.reshape(-1, d))
+        # beyond the farthest the simulation no longer changes; the draw stays where its density says that it is
+        xi = problem.simulator.space.to_physical(np.clip(fresh.reshape(-1, d), -FARTHEST, FARTHEST))
         parts = problem.parts(owner)
         cost = np.concatenate([problem.costs(xi[p], owner[p], noise.whitening) for p in parts])
         log_likelihood = -0.5 * cost.reshape(robots, draws)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -23,6 +24,9 @@ PRECISION = 1e-9
 
 NUMBERS_AT_ONCE = 1 << 23
 """Numbers in the residuals that one call of the simulator returns, about (64 MiB)."""
+
+MATRICES = 13
+"""Matrices of C x C doubles for every window that learning the noise holds at a time, at least (measured)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,10 @@ class Problem:
         return replace(self, windows=replace(self.windows, state=state))
 
     def in_parts(self, z: Array, robot: Index) -> Iterator[list[Array]]:
-        """`residuals` of unconstrained vectors z (K, D), a part at a time, so that memory stays bounded."""
+        """`residuals` of unconstrained vectors z (K, D), a part at a time.
+
+        Memory for simulations is bounded so; what grows with the windows is in `check_memory`.
+        """
         for part in self.parts(robot):
             yield self.residuals(self.simulator.space.to_physical(z[part]), robot[part])
 
@@ -103,6 +110,28 @@ class Problem:
         ends = np.flatnonzero(np.diff(np.cumsum(numbers) // NUMBERS_AT_ONCE)) + 1
         edges = [0, *ends.tolist(), len(robot)]
         return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+    def check_memory(self) -> None:
+        """Refuse recordings of which the covariances of all windows do not fit into this machine's memory.
+
+        Raises:
+            BadDataset: with the numbers, and what makes fewer of them.
+        """
+        needed, there = 8 * MATRICES * len(self.windows) * self.channels**2, memory()
+        if there is not None and needed > there:
+            raise BadDataset(
+                f"{len(self.windows)} windows of {self.channels} numbers each need about {needed / 2**30:.3g} GiB and "
+                f"the machine has {there / 2**30:.3g}: take fewer or shorter recordings, resample them to a lower "
+                "rate, or shorten the horizon (the memory grows with it)"
+            )
+
+
+def memory() -> int | None:
+    """Bytes of memory of this machine; None where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None
 
 
 def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolution: ArrayLike | None = None) -> Problem:

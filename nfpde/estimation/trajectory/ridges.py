@@ -17,7 +17,7 @@ from scipy.stats import norm, qmc
 
 from nfpde.estimation.trajectory.information import inverse, softened_alike
 from nfpde.estimation.trajectory.levenberg import FARTHEST, UNSEEN, Candidates, linearise, start
-from nfpde.estimation.trajectory.modes import LocalPosterior
+from nfpde.estimation.trajectory.modes import LocalPosterior, box_bending
 from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.problem import Problem
 
@@ -157,7 +157,8 @@ def _directions(mode: Array, fisher: Array) -> tuple[Array, Array, Array]:
     share = expit(mode)
     prior = 2 * share * (1 - share)
     scale = np.sqrt(np.maximum(prior, BOUNDS))
-    spread, vectors = np.linalg.eigh(inverse(fisher + np.diag(prior)) * np.outer(scale, scale))
+    curvature = fisher + box_bending(mode[None])[0] + np.diag(prior)
+    spread, vectors = np.linalg.eigh(inverse(curvature) * np.outer(scale, scale))
     return scale, spread, vectors
 
 

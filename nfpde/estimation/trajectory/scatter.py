@@ -13,6 +13,7 @@ from nfpde.estimation.trajectory.components import (
     Judged,
     at_least,
     at_starts,
+    definite,
     extrapolated,
     rescaled,
     width_at_starts,
@@ -55,7 +56,7 @@ def learn_alike(residuals: Sequence[Array], fitted: float, floor: Array) -> Scat
     """Noise of residuals that are taken for independent draws; see `learn_student`."""
     found = learn_student(residuals, fitted, floor)
     half = np.linalg.inv(found.whitener)
-    return Scatter(np.zeros(0), half.T @ half, found.degrees)
+    return Scatter(np.zeros(0), definite(half.T @ half), found.degrees)
 
 
 def learn_shared(
@@ -170,9 +171,11 @@ def _innovations(
 
 def _least_scale(scatter: Scatter, floors: tuple[Array, Array]) -> float:
     """The smallest scale that leaves no error of a state, and no direction of the others, below its floor."""
-    of_process = float(np.linalg.eigvalsh(scatter.process / np.outer(floors[1], floors[1]))[0])
+    # the least eigenvalue by way of Cholesky's factor, in which channels of very different size keep their digits
+    lower = np.linalg.cholesky(scatter.process / np.outer(floors[1], floors[1]))
+    of_process = float(np.linalg.norm(np.linalg.inv(lower), 2)) ** 2
     of_sensors = floors[0] ** 2 / np.maximum(scatter.sensor, 1e-300)
-    return max(1 / of_process, float(of_sensors.max(initial=0.0)))
+    return max(of_process, float(of_sensors.max(initial=0.0)))
 
 
 def _tails(scatter: Scatter, factor: Factor, squares: Array, inflation: float, least: float) -> tuple[Scatter, float]:

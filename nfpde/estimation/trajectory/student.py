@@ -116,12 +116,14 @@ def _scatters(r: Array, known: NDArray[np.bool_], degrees: Array, inflation: Arr
     weights, squares = known[which].astype(float), np.zeros((count * kinds, n))
     whiteners = np.tile(np.eye(channels), (count * kinds, 1, 1))
     total, correlated = known.sum(1), np.where(full[:, None, None], 1.0, np.eye(channels))
-    going = np.arange(count * kinds)
+    going, rounding = np.arange(count * kinds), channels * np.finfo(np.float64).eps
     for _ in range(30):
         own, of = r[which[going]], which[going]
         scatter = (own * weights[going, :, None]).swapaxes(1, 2) @ own
         values, vectors = np.linalg.eigh((inflation / total)[of, None, None] * scatter * correlated[of])
-        whiteners[going] = vectors / np.sqrt(np.maximum(values, 1.0))[:, None]
+        # channels that are nearly dependent have eigenvalues that are rounding errors of the largest
+        least = np.maximum(full[of, None] * rounding * values[:, -1:], 1.0)
+        whiteners[going] = vectors / np.sqrt(np.maximum(values, least))[:, None]
         squares[going] = ((own @ whiteners[going]) ** 2).sum(-1)
         updated = known[of] * (nu[going, None] + channels) / (nu[going, None] + squares[going])
         moving = np.abs(updated - weights[going]).max(1) >= 1e-3
