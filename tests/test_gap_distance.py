@@ -56,6 +56,17 @@ def test_many_windows_are_thinned_and_diverged_ones_left_out():
     assert np.isnan(distance(PLAIN, windows, [np.full_like(real, np.nan)] * 3, np.zeros((1000, 2))).before)
 
 
+def test_a_start_that_noise_makes_diverge_is_left_out():
+    """From the recorded start all went well: the others still tell the distance."""
+    windows = ends_of(np.random.default_rng(3).normal(size=(50, 2)))
+    real = windows.target[:, -1]
+    noise = np.zeros((50, 2))
+    noise[4] = np.nan
+    found = distance(PLAIN, windows, [real] * 3, noise)
+    assert found.windows == 49
+    assert found.noise_floor == pytest.approx(0.0, abs=1e-12)
+
+
 def test_rotations_are_compared_as_rotations():
     """The quaternions q and -q are the same pose and cost nothing; a turn about one axis costs its angle."""
     ball = mujoco.MjModel.from_xml_string(

@@ -24,7 +24,7 @@ def distance(states: StateSpace, windows: Windows, ends: list[Array], noise: Arr
 
     Each channel is divided by its standard deviation over the recorded ends, so that 1 is a shift of everything in one
     channel by as much as it varies. Windows start at the same recorded states on both sides; those that diverge in
-    any of the simulations are left out of all.
+    any of the simulations, or from a start that noise moved, are left out of all.
 
     Args:
         states: Layout of the states.
@@ -32,7 +32,7 @@ def distance(states: StateSpace, windows: Windows, ends: list[Array], noise: Arr
         ends: Predicted ends (N, nx) of the nominal model, with parameters, with effects.
         noise: Differences at the ends that sensor noise alone gives (N, 2 nv).
     """
-    sound = np.flatnonzero(np.all([np.isfinite(e).all(1) for e in ends], axis=0))
+    sound = np.flatnonzero(np.all([np.isfinite(e).all(1) for e in (*ends, noise)], axis=0))
     if not len(sound):
         nothing = float("nan")
         return Distance(nothing, nothing, nothing, nothing, 0)
