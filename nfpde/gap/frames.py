@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nfpde.dataset import Dataset
+from nfpde.dataset.travel import SPAN
 from nfpde.elements import element_names
 from nfpde.errors import BadDataset
-from nfpde.gap.readings import CURED, SPAN
+from nfpde.gap.readings import CURED
 
 Array = NDArray[np.float64]
 

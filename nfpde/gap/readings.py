@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
+from nfpde.dataset.travel import changes_over_spans, explained
 from nfpde.elements import element_names, is_axis
 from nfpde.errors import BadDataset
 from nfpde.gap.grain import step_of
@@ -23,9 +24,6 @@ DEGREES = 180.0 / np.pi
 
 _UNIT = 0.1
 """How far a ratio of position to speed may be from that of degrees, as a share: scales of sensors are off by less."""
-
-SPAN = 10
-"""Rows over which changes of position and speeds are compared: far more than one row's, their noise is the same."""
 
 _ROUNDED = 1e-5
 """Share of the highest speed by which a speed that was computed from positions differs from that: single precision."""
@@ -60,7 +58,7 @@ class Readings:
     place: episode's name and row of every row
     qpos, qvel: positions and speeds (R, A)
     inside: whether the step from a row to the next lies inside an episode (R-1,)
-    spans: first and last rows of stretches inside episodes (S, 2)
+    moved, told: changes of position over stretches of rows, and what the speeds say they are (S, A)
     control_dt: [s]
     """
 
@@ -69,7 +67,8 @@ class Readings:
     qpos: Array
     qvel: Array
     inside: NDArray[np.bool_]
-    spans: NDArray[np.intp]
+    moved: Array
+    told: Array
     control_dt: float
 
     @classmethod
@@ -80,36 +79,22 @@ class Readings:
         ends = np.cumsum(lengths)
         inside = np.ones(ends[-1] - 1, dtype=bool)
         inside[ends[:-1] - 1] = False
-        spans = [
-            (end - n + first, min(end - n + first + SPAN, end - 1))
-            for n, end in zip(lengths, ends, strict=True)
-            for first in range(0, n - 1, SPAN)
-        ]
+        q, v = np.array([(a.q, a.v) for a in axes], dtype=int).reshape(-1, 2).T
         return cls(
             axes,
             tuple((e.name, row) for e in dataset for row in range(len(e))),
-            np.concatenate([e.qpos for e in dataset])[:, [a.q for a in axes]],
-            np.concatenate([e.qvel for e in dataset])[:, [a.v for a in axes]],
+            np.concatenate([e.qpos for e in dataset])[:, q],
+            np.concatenate([e.qvel for e in dataset])[:, v],
             inside,
-            np.array(spans),
+            *changes_over_spans(dataset, q, v),
             dataset.control_dt,
         )
 
     @property
     def mismatch(self) -> Array:
         """Change of position less mean speed times the control step, from row to row (R-1, A); 0 between episodes."""
-        return (np.diff(self.qpos, axis=0) - self._travel) * self.inside[:, None]
-
-    @property
-    def moves(self) -> tuple[Array, Array]:
-        """Changes of position over the spans, and what the speeds say they are, (S, A) each."""
-        travelled = np.vstack([np.zeros(len(self.axes)), np.cumsum(self._travel, axis=0)])
-        first, last = self.spans.T
-        return self.qpos[last] - self.qpos[first], travelled[last] - travelled[first]
-
-    @property
-    def _travel(self) -> Array:
-        return 0.5 * (self.qvel[1:] + self.qvel[:-1]) * self.control_dt
+        travel = 0.5 * (self.qvel[1:] + self.qvel[:-1]) * self.control_dt
+        return (np.diff(self.qpos, axis=0) - travel) * self.inside[:, None]
 
     @property
     def fastest(self) -> Array:
@@ -166,18 +151,19 @@ def check_columns(readings: Readings) -> None:
     Raises:
         BadDataset: Which joint's, and what to do.
     """
-    moved, told = readings.moves
+    moved, told = readings.moved, readings.told
     _check_order(readings.axes, moved, told)
     _check_signs(readings, moved, told)
     _check_units(readings.axes, moved, told)
 
 
 def _check_signs(readings: Readings, moved: Array, told: Array) -> None:
+    fits = explained(moved, told)  # as they do where a body is thrown, or coasts at one speed
     for k, axis in enumerate(readings.axes):
         speed = readings.qvel[:, k]
         if not np.ptp(moved[:, k]) > 0:
             continue
-        constant = not np.ptp(speed) > 0 and not _explains(told[:, k], moved[:, k])
+        constant = not np.ptp(speed) > 0 and not fits[k]
         if constant and _leaves(readings, k):
             raise BadDataset(
                 f"{axis.name}: its qpos changes while its qvel stands still at {speed[0]:g}; record velocities, or "
@@ -188,11 +174,6 @@ def _check_signs(readings: Readings, moved: Array, told: Array) -> None:
                 f"{axis.name}: its qvel runs against the change of its qpos, so one of the two has the wrong sign; "
                 f"correct it in the recordings"
             )
-
-
-def _explains(told: Array, moved: Array) -> bool:
-    """Whether positions change as speeds say, as they do where a body is thrown, or coasts at one speed."""
-    return bool(((moved - told) ** 2).sum() < CURED * (moved**2).sum())
 
 
 def _leaves(readings: Readings, k: int) -> bool:

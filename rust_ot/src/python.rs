@@ -72,6 +72,10 @@ fn metric_of(name: &str) -> PyResult<Metric> {
     }
 }
 
+fn slice_of<'a>(weights: &'a Weights<'_>) -> PyResult<Option<&'a [f64]>> {
+    Ok(weights.as_ref().map(|w| w.as_slice()).transpose()?)
+}
+
 /// Exact transport between points; C-contiguous float64 arrays of shape (n, d), (m, d), (n,), (m,).
 #[pyfunction]
 #[pyo3(signature = (x, y, a, b, metric, threads))]
@@ -90,7 +94,7 @@ fn solve_points<'py>(
         return Err(PyValueError::new_err("x and y differ in their second dimension"));
     }
     let (x, y) = (x.as_slice()?, y.as_slice()?);
-    let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
+    let weights = (slice_of(&a)?, slice_of(&b)?);
     run(py, |go_on| between_points(x, y, dim, metric, weights, &Workers::new(threads)?, go_on))
 }
 
@@ -106,7 +110,7 @@ fn solve_numbers<'py>(
     order: f64,
 ) -> PyResult<Answer<'py>> {
     let (x, y) = (x.as_slice()?, y.as_slice()?);
-    let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
+    let weights = (slice_of(&a)?, slice_of(&b)?);
     run(py, |_| between_numbers(x, y, order, weights))
 }
 
@@ -122,7 +126,7 @@ fn solve_matrix<'py>(
 ) -> PyResult<Answer<'py>> {
     let cols = cost.shape()[1];
     let costs = cost.as_slice()?;
-    let weights = (a.as_ref().map(|a| a.as_slice()).transpose()?, b.as_ref().map(|b| b.as_slice()).transpose()?);
+    let weights = (slice_of(&a)?, slice_of(&b)?);
     run(py, |go_on| with_cost(&Matrix::new(costs, cols)?, weights, &Workers::new(threads)?, go_on))
 }
 
