@@ -9,7 +9,7 @@ import pytest
 
 from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
-from nfpde.gap.brief import EVERY, MOST, brief
+from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.search import Found, Search
 from nfpde.gap.select import Selection
@@ -83,6 +83,10 @@ def test_joints_are_not_asked_by_themselves_where_all_were_asked_over_the_same_w
 def test_more_windows_are_more_of_the_same():
     """All that the longest windows hold, in order; the fewer are among them."""
     recordings = cut_recordings(pushes(0.5, rows=400), 0, 0, 160)
+    for most in (MOST, EVERY):
+        shortest = brief(recordings, most)[0]
+        assert single_steps(recordings, most) == len(shortest.fit) + len(shortest.held)
+    assert single_steps(replace(recordings, horizons=recordings.horizons[-1:])) == 0
     for some, every in zip(brief(recordings), brief(recordings, EVERY), strict=True):
         steps = some.horizons[-1]
         assert every.horizons == some.horizons
@@ -134,3 +138,53 @@ def test_what_was_asked_of_some_halves_is_not_asked_of_others(kept, monkeypatch)
     assert replace(search, before=before)._run(early=False).halves == kept
     assert {held for held in cuts if held} == ({kept} if kept else set())
     assert knew == [None, NEAR.misjudged]
+
+
+def test_what_was_tried_first_is_shown_in_the_noise_of_the_end(monkeypatch):
+    """In smooth motion, where less noise than was believed lets more effects be asked for."""
+    recordings = cut_recordings(pushes(0.5, rows=120), 0, 0, 40)
+    part = "nfpde.gap.search."
+    monkeypatch.setattr(part + "moved_over", lambda *args: ("base", "court"))
+    monkeypatch.setattr(part + "best_beginning", lambda selection, base, final, accepted: (final, accepted))
+    stages = []
+
+    def in_noise(*args: Any, **options: Any) -> Any:
+        number = len(stages)
+        stages.append(
+            SimpleNamespace(
+                court=ANYTHING,
+                yardstick=ANYTHING,
+                base=SimpleNamespace(),
+                misjudged=1.0,
+                recordings=recordings,
+                shown=lambda trial, refitted: (trial[0], f"noise {number}"),
+            )
+        )
+        return stages[-1]
+
+    monkeypatch.setattr(part + "in_noise", in_noise)
+    found: Any = [SimpleNamespace(effect=FAST)]
+
+    class Quieter(Search):
+        def _begun(self, *, early) -> Any:
+            return None, recordings, None, "base", "court"
+
+        def _may_hide(self, near, selection, final):
+            return near is stages[0]
+
+        def _hid(self, anew, selection, final):
+            return True
+
+        def _select(self, near, selection, earlier=None, *, further=False) -> Any:
+            if not further:
+                selection.ranking[:] = [("one", "noise 0"), ("other", "noise 0")]
+            return near, selection, SimpleNamespace(fit=ANYTHING), found * (1 + further)
+
+    chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
+    data: Any = SimpleNamespace(control_dt=0.01)
+    told = Quieter(ANYTHING, data, [], np.zeros((1, 0)), 40, 0, lambda stage: chosen, lambda what: None)._run(
+        early=None
+    )
+    assert len(stages) == 2
+    assert told.near is stages[1]
+    assert told.selection.ranking == [("one", "noise 1"), ("other", "noise 1")]

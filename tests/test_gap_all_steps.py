@@ -68,7 +68,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
             return stage(longer)
 
         def _history(self):
-            return 0, 0
+            return 0, 0, 0
 
         def _may_hide(self, near, selection, final):
             return False

@@ -72,7 +72,9 @@ def test_noise_alone_gives_nothing_in_smooth_motion():
     rng = np.random.default_rng(1)
     for draw, (court, _) in enumerate(list(there._made)):
         truths = [natural(damped.replay, damped.xi, h.windows) for h in (court.fitter, court.held)]
-        halves = [measured(damped.replay, truth, stage.sigma, court.fitter.windows, rng) for truth in truths]
+        halves = [
+            measured(damped.replay, truth, stage.sigma, court.fitter.windows, court.encoders, rng) for truth in truths
+        ]
         court = judging(stage.court, stage.base.fit, halves, stage.sigma, draw)
         base = court.judge(
             None, court.settle(court.fitter.start(stage.base.fit.replay, np.zeros((1, 0)), stage.base.fit.scatter))
@@ -97,7 +99,7 @@ def test_a_pit_that_a_candidate_leads_out_of_is_not_its_gain(monkeypatch):
     def replace_fit(fit: Any, xi: list[float], cost: float) -> Any:
         return SimpleNamespace(xi=np.array(xi), cost=cost, replay=fit.replay, scatter=ANYTHING)
 
-    court = Court(np.arange(8) // 2, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(1))
+    court = Court(np.arange(8) // 2, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(1), ANYTHING)
     for worth, gain in ((6.0, 6.0), (4.0, 0.0)):
 
         def refitted(court: Court, trial: Trial, guesses: np.ndarray, scatter: Any, worth: float = worth) -> Trial:
@@ -141,7 +143,7 @@ def test_near_the_floor_a_candidate_must_gain_more_than_noise_gives_it(gap, give
     """It gains one nat a window in all of them; a gap beyond ten floors is no noise, and nobody asks."""
     noise = np.random.default_rng(2).choice([-1.0, 1.0], size=(40, 2, 4))
     block = np.arange(40) // 4
-    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     chosen = Touching(
         ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None], 0.0), sigma=np.ones(4)
     )

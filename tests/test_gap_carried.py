@@ -78,7 +78,7 @@ def test_what_shorter_windows_asked_for_stays_where_longer_ones_do_not_speak_aga
         def without(self, trial: Any, index) -> Any:
             return SimpleNamespace(effects=super().without(trial, index).effects, density=np.zeros(40))
 
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(0), ANYTHING)
     selection = Dense(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     everything: Any = SimpleNamespace(effects=[0, 1], density=gained + 0.01 * np.random.default_rng(1).normal(size=40))
     accepted: Any = [0, 1]
@@ -232,7 +232,7 @@ def test_an_effect_is_not_credited_with_what_the_parameters_had_missed(size, idl
     monkeypatch.setattr(Stuck, "smaller", Line(start, [one], []))
     both: Any = Line(start, [one, size * other], ["effect"])
     fit = fitter.start(both, np.array([[0.3, 0.7]]), scatter)
-    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1), ANYTHING)
     selection = Stuck(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     found: Any = selection._idle(Trial(ANYTHING, fit, np.zeros(50), start, np.zeros(50)), ANYTHING, 1.0)
     assert (found is not None) is idle
@@ -278,7 +278,7 @@ def test_an_effect_that_led_to_a_deeper_pit_does_nothing_where_it_is_not_asked_f
     scatter = learn_scatter(1e-3 * rng.normal(size=(200, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
     fitter = Fitter(ANYTHING, (1, 2))
     both: Any = Line(start, [one, other], ["effect"])
-    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1), ANYTHING)
     sigmas = None if sigma is None else np.full(2, sigma)
     selection = Deeper(ANYTHING, None, 1, court, [], yardstick=MEASURED, sigma=sigmas)
     smaller: Any = Line(start, [one], [])
@@ -316,7 +316,7 @@ def test_what_does_nothing_on_longer_windows_is_not_carried_there(size):
     alone, both = (Line(start, slopes, []) for slopes in ([one], [one, size * other]))
     replays: list[Any] = [alone, both]
     base, beside = (fitter.start(r, np.array([[0.3, 0.7][: r.nfree]]), scatter) for r in replays)
-    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1))
+    court = Court(np.arange(50), fitter, fitter, np.zeros((1, 2)), np.zeros(1), ANYTHING)
     selection = Settled(ANYTHING, None, 1, court, [], yardstick=MEASURED)
     first, found = selection._converged(base), selection._converged(beside)
     accepted = [Accepted(ANYTHING, found, (), (), ())]

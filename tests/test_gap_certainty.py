@@ -1,5 +1,6 @@
 """How well values are known: on straight problems what slopes say, on rough ones what estimates really scatter by."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def fitted(seed, jumps=0.0, cell=1e-3, slopes=(1.0, 1.0)):
     second: Any = 1
     fitter = Fitter(first, (1, 2))
     fit = fitter.improve(fitter.start(replay, np.array([[0.45, 0.55]]), scatter), 10)
-    return Court(ANYTHING, fitter, Fitter(second, (1, 2)), floor, fit.xi), fitter.linearise(fit)
+    return Court(ANYTHING, fitter, Fitter(second, (1, 2)), floor, fit.xi, ANYTHING), fitter.linearise(fit)
 
 
 def test_where_nothing_jumps_slopes_are_right():
@@ -90,3 +91,36 @@ def test_what_nothing_tells_is_known_as_well_as_the_prior(slope):
     errors = standard_errors(court, fit) / (fit.replay.high - fit.replay.low)
     assert errors[1] == pytest.approx(PRIOR, rel=0.05)
     assert errors[0] < 0.02
+
+
+class Steep(Replay):
+    """Residuals of a threshold: they change within a thousandth of the bounds, and nowhere else."""
+
+    effects, width = (), 1e-3
+
+    def __init__(self):
+        self.low, self.high = np.zeros(2), np.ones(2)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        off = np.stack([np.tanh((xi[:, 0] - 0.3) / self.width), xi[:, 1] - 0.3], axis=-1)
+        return np.tile(off[:, None, None], (1, WINDOWS, 1, 1))
+
+
+def test_slopes_are_taken_over_steps_that_their_own_errors_ask_for():
+    """Whatever was believed before: over the widest step a threshold is all but flat, and its error ten times as large.
+
+    A second parameter that the windows tell to a hundredth keeps its step.
+    """
+    steep, fitter = Steep(), Fitter(ANYTHING, (1,))
+    sigma = 0.1
+    scatter = learn_scatter(sigma * np.random.default_rng(0).normal(size=(4000, 1, 2)), 0, 1e-3 * np.ones((1, 2)))
+    start = fitter.start(steep, np.array([[0.3, 0.3]]), scatter)
+    exact = np.sqrt(WINDOWS) * np.array([1 / steep.width, 1.0]) / sigma
+    crude = np.sqrt(np.diag(fitter.linearise(start).information))
+    assert crude[0] < 0.1 * exact[0]
+    for believed in (1.0, 1e4, 1e12):
+        fit = fitter.resolved(replace(start, information=believed * np.eye(2)))
+        found = np.sqrt(np.diag(fit.information))
+        # of a tanh over .3 standard errors nothing is missing; the scatter is learnt of 4000, and its tails are a guess
+        np.testing.assert_allclose(found, exact, rtol=0.1)
+        assert fit.fresh == 0

@@ -12,6 +12,7 @@ from nfpde.gap import diagnose_gap, stage
 from nfpde.gap.brief import brief, shorter
 from nfpde.gap.chart import Chart
 from nfpde.gap.fit import Fitter
+from nfpde.gap.grain import Encoders
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
@@ -119,6 +120,8 @@ def test_a_floor_is_found(height):
     assert "ground_height" in {cause.effect, *(r.effect for r in cause.indistinguishable)}
     (value,) = cause.parameters.values()
     assert value.value == pytest.approx(height, abs=1e-4)
+    # noise of a hundred rows or more on it, each read to .1 mm; slopes over millimetres are those of a free fall
+    assert value.high - value.low < 1e-4
 
 
 def test_how_slippery_a_floor_is():
@@ -160,7 +163,8 @@ def test_noise_of_sensors_beside_contacts(fall, factor):
     noise = (1e-4, 2e-3)
     data = drops(noise=noise, fall=fall)
     replay = Replay(mujoco.MjModel.from_xml_string(BALL), None, [])
-    ratio = sensor_noise(replay, np.zeros(0), data.windows(1)) / noise
+    rows = data.windows(1)
+    ratio = sensor_noise(replay, np.zeros(0), rows, Encoders.of([rows.start])) / noise
     assert np.abs(np.log(ratio)).max() < np.log(factor)
 
 

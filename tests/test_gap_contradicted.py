@@ -16,7 +16,7 @@ ANYTHING: Any = None
 RUB = effect("coulomb_friction", "bend", torque=(0.0, 1.0))
 STICK = effect("stribeck_friction", "bend", coulomb=(0.0, 1.0), static=(0.0, 1.0), speed=(0.01, 1.0))
 
-COURT = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+COURT = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
 
 
 def trial(which, left: float, held: float, fitted: float) -> Trial:

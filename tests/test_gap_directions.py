@@ -6,6 +6,7 @@ import pytest
 
 from nfpde.dataset import Dataset, Episode
 from nfpde.gap.directions import Directions, likeliest_directions, noise_covariance
+from nfpde.gap.grain import Encoders
 from nfpde.gap.loud import Loudness, noise_residuals
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
@@ -156,6 +157,6 @@ def test_noise_of_speeds_is_found_beside_contacts():
     rows = rides().windows(1)
     moved = noise_residuals(replay, np.zeros(0), rows, (1,), SIGMA * ([1] * 4 + [0] * 4), 0)[0, :, :, 1]
     assert (moved.std(0) > 5 * SIGMA[4:]).all()  # what the positions alone do to the speeds
-    found = sensor_noise(replay, np.zeros(0), rows)
+    found = sensor_noise(replay, np.zeros(0), rows, Encoders.of([rows.start]))
     np.testing.assert_allclose(found[:4] / SIGMA[:4], 1.0, atol=0.25)
     assert (np.abs(np.log2(found[4:] / SIGMA[4:])) < 1).all()

@@ -18,8 +18,8 @@ TRUE = 3e-4 * np.array([1.0, 1.0, 0.1, 0.1])
 def found(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """The noise that is found, and by how much it is misjudged."""
     cut = cut_recordings(data, HISTORY, 0, 160)
-    sigma = sensor_noise(replay(), np.zeros(0), cut.rows)
-    return sigma, misjudged(replay(), np.zeros(0), cut.longest, sigma, 0)
+    sigma = sensor_noise(replay(), np.zeros(0), cut.rows, cut.encoders)
+    return sigma, misjudged(replay(), np.zeros(0), cut.longest, cut.encoders, sigma, 0)
 
 
 def test_what_a_floor_hides_of_the_noise_is_made_up_for():
@@ -37,9 +37,11 @@ def test_what_a_floor_hides_of_the_noise_is_made_up_for():
 def test_no_noise_is_not_misjudged():
     """Where none was found there is nothing to make up for; and what is found is believed to a factor."""
     cut = cut_recordings(rests(3e-4), HISTORY, 0, 160)
-    np.testing.assert_array_equal(misjudged(replay(), np.zeros(0), cut.longest, np.zeros(4), 0), np.ones(4))
+    np.testing.assert_array_equal(
+        misjudged(replay(), np.zeros(0), cut.longest, cut.encoders, np.zeros(4), 0), np.ones(4)
+    )
     # a sensor that is as good as none beside one that is bad: the floor makes speed of heights, and hides it
-    share = misjudged(replay(), np.zeros(0), cut.longest, np.array([1e-3, 1e-3, 1e-12, 1e-12]), 0)
+    share = misjudged(replay(), np.zeros(0), cut.longest, cut.encoders, np.array([1e-3, 1e-3, 1e-12, 1e-12]), 0)
     assert np.all((share >= 1 / MOST) & (share <= MOST))
     assert share.max() == MOST
 
@@ -57,7 +59,7 @@ def test_stages_make_up_for_it_where_contacts_are_and_find_it_out_once(capped: b
     monkeypatch.setattr("nfpde.gap.stage.misjudged", half)
     base, court = first_fit(replay(), recordings, np.zeros((1, 0)), capped=capped)
     first = in_noise(base, court, recordings, 0)
-    plain = sensor_noise(replay(), np.zeros(0), recordings.rows)
+    plain = sensor_noise(replay(), np.zeros(0), recordings.rows, recordings.encoders)
     np.testing.assert_allclose(first.sigma, plain / 0.5 if capped else plain, rtol=1e-9)
     second = in_noise(base, court, recordings, 0, share=first.misjudged)
     np.testing.assert_allclose(second.sigma, first.sigma, rtol=1e-9)

@@ -55,7 +55,7 @@ def gap(left: float) -> Trial:
 )
 def test_what_short_windows_hardly_show_is_worth_what_it_is_over_long_ones(left, far, touches, worth, looks):
     """If it shrinks the gap here at all."""
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), np.ones((1, 40, 2, 4)), 0.0)
     there: Any = Known(*far)
     sigma = np.zeros(4) if touches else None

@@ -24,7 +24,9 @@ def estimate(seed, draw):
     mixing = rng.normal(size=(CHANNELS, CHANNELS)) * np.logspace(0, -1, CHANNELS)
     matrix = rng.normal(size=(WINDOWS, CHANNELS, 3))
     replay = Straight(matrix, matrix @ np.full(3, 0.5) + draw(rng) @ mixing)
-    court = Court(ANYTHING, Fitter(ANYTHING, (1, 2)), Fitter(ANYTHING, (1, 2)), np.full((1, CHANNELS), 1e-4), ANYTHING)
+    court = Court(
+        ANYTHING, Fitter(ANYTHING, (1, 2)), Fitter(ANYTHING, (1, 2)), np.full((1, CHANNELS), 1e-4), ANYTHING, ANYTHING
+    )
     start = replay.residuals(np.full((1, 3), 0.4), ANYTHING, ())[0]
     fit = court.fitter.start(replay, np.full((1, 3), 0.4), learn_scatter(start, 0, court.floor))
     return court.fitter.linearise(court.settle(fit, rounds=4))

@@ -24,7 +24,7 @@ class Counted:
     simulated_steps = 7
 
 
-COURT = Court(np.arange(60) // 3, ANYTHING, ANYTHING, np.zeros(SHAPE[1:]), np.zeros(0))
+COURT = Court(np.arange(60) // 3, ANYTHING, ANYTHING, np.zeros(SHAPE[1:]), np.zeros(0), ANYTHING)
 
 
 class SameWindows(Stage):
@@ -67,8 +67,12 @@ def test_a_gap_that_falls_out_of_the_noise_is_asked_about(left, before, after, e
 @pytest.mark.parametrize(("after", "expected"), [(0.9, False), (0.4, True)])
 def test_beside_contacts_the_sensors_noise_itself_must_have_halved(after, expected, monkeypatch):
     """There floors are known to a factor only. The noise is asked before anything else is made of the windows."""
-    monkeypatch.setattr("nfpde.gap.search.sensor_noise", lambda replay, xi, rows: np.array([2.0 * after, 2.0]))
-    near: Any = SimpleNamespace(misjudged=2.0, sigma=np.ones(2), recordings=SimpleNamespace(rows=ANYTHING))
+    monkeypatch.setattr(
+        "nfpde.gap.search.sensor_noise", lambda replay, xi, rows, encoders: np.array([2.0 * after, 2.0])
+    )
+    near: Any = SimpleNamespace(
+        misjudged=2.0, sigma=np.ones(2), recordings=SimpleNamespace(rows=ANYTHING, encoders=ANYTHING)
+    )
     final: Any = SimpleNamespace(fit=SimpleNamespace(replay=SimpleNamespace(sim=Counted()), xi=ANYTHING))
     soft = effect("contact_softness", time_constant=(0.001, 0.1), damping_ratio=(0.1, 2.0))
     search = Search(ANYTHING, ANYTHING, [(soft, np.ones((1, 2)))], np.zeros((1, 0)), 80, 0, ANYTHING, ANYTHING)

@@ -26,7 +26,7 @@ def test_what_leaves_the_gap_is_not_named():
     rng = np.random.default_rng(8)
     block = np.arange(40) // 4
     held, gained = 3 * rng.normal(size=(40, 2, 4)), rng.uniform(1, 2, 40)
-    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
     selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick)
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
@@ -44,7 +44,7 @@ def test_a_second_effect_need_not_be_large_beside_the_first():
     """A hundredth of the first gap, and most of what is left, is accepted; what hides in the noise is not."""
     rng = np.random.default_rng(9)
     noise, first_gap = rng.normal(size=(40, 2, 4)), 1000.0
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     selection = ByGain(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None]))
     friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
     for size, named in ((3.0, True), (1.02, False)):
@@ -61,7 +61,7 @@ def test_beside_contacts_the_floors_own_error_is_not_explained(size, at_floor, m
     monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: 0.5 * noise[None])
     left, yardstick = trial(None, np.zeros(40), size * noise), Yardstick(np.ones((2, 4)), noise[None], 0.0)
     for sigma in (np.ones(4), None):
-        court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+        court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0), ANYTHING)
         selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
         assert selection.at_floor(left) is (sigma is not None and at_floor)
     monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: 2.0 * noise[None])
@@ -117,7 +117,7 @@ def test_beside_contacts_equals_are_told_by_what_they_leave(size, behind, contac
     )
     density = rng.uniform(9, 11, 40)
     trials = [trial(one, density, noise), trial(other, density - behind - 1e-6 * rng.normal(size=40), size * noise)]
-    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
     selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
     found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
@@ -138,7 +138,7 @@ def test_who_explains_next_to_nothing_is_no_equal_of_who_explains_little(explain
     density = rng.uniform(9, 11, 40)
     left = 1.06 - 0.06 * explained
     trials = [trial(one, density, noise), trial(other, density - 5.0, np.sqrt(left) * noise)]
-    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
     selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4))
     assert selection._equal(1.06, trials[0], trials[1], False) is equal
@@ -157,7 +157,7 @@ def test_beside_contacts_fewer_parameters_are_preferred_where_they_explain_the_s
     apart = rng.normal(size=40)
     densities = density, density - 1e-4 + 0.1 * (apart - apart.mean())
     trials = [trial(e, d, s * noise) for e, d, s in zip(effects, densities, (1.0, size), strict=True)]
-    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), noise[None], 0.0)
     selection = ByGain(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=np.ones(4) if contacts else None)
     found = selection.accept(trial(None, np.zeros(40), 4.0 * noise), trials, 16.0)
@@ -170,7 +170,7 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     rng = np.random.default_rng(10)
     block = np.arange(40) // 4
     held = 3 * rng.normal(size=(40, 2, 4))
-    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     selection = ByGain(
         ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), rng.normal(size=(1, 40, 2, 4)))
     )

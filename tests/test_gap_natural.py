@@ -10,6 +10,7 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, effect
 from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.brief import brief
+from nfpde.gap.grain import Encoders
 from nfpde.gap.natural import begun_earlier, measured, natural
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
@@ -104,7 +105,7 @@ def test_noise_is_on_every_row_that_was_measured():
     """As large as it was asked for, on the past as on the rest; what was never measured stays unknown."""
     windows = pushes(0.5).windows(4, stride=7, history=HISTORY, past=HISTORY)
     sigma = np.array([1e-4, 2e-4, 3e-3, 4e-3])
-    noisy = measured(replay(), windows, sigma, windows, np.random.default_rng(1))
+    noisy = measured(replay(), windows, sigma, windows, Encoders.of([windows.start]), np.random.default_rng(1))
     unknown = np.isnan(windows.past)
     np.testing.assert_array_equal(np.isnan(noisy.past), unknown)
     past = (noisy.past - windows.past)[~unknown.any(2)]
@@ -130,7 +131,8 @@ def test_what_encoders_round_is_rounded():
     recorded = Dataset(episodes).windows(4, stride=7, history=HISTORY, past=HISTORY)
     truth = natural(replay(), np.zeros(0), recorded)
     sigma = np.array([1e-4, step / np.sqrt(12), np.hypot(0.01, 0.01) / np.sqrt(12), 4e-3])
-    noisy = measured(replay(), truth, sigma, recorded, np.random.default_rng(1))
+    encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in episodes])
+    noisy = measured(replay(), truth, sigma, recorded, encoders, np.random.default_rng(1))
     for column, grain, phase in ((1, step, zero), (2, 0.01, 0.0)):
         steps = (noisy.state[..., column] - phase) / grain
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
@@ -138,11 +140,42 @@ def test_what_encoders_round_is_rounded():
     height = truth.state[..., 1]
     resting = np.abs(height - np.median(height)) < 0.1 * step
     assert resting.mean() > 0.5
-    assert errors[..., 1][resting].std() < 0.1 * step  # noise as large as what is rounded has 0.29
+    apart = errors[..., 1][resting] - np.median(errors[..., 1][resting])
+    same = np.abs(apart) < 0.5 * step
+    assert apart[same].std() < 0.1 * step  # noise as large as what is rounded has 0.29
+    # but for the rows in which the recordings show the next step: 5 standard deviations of a share of so many
+    assert 1 - same.mean() == pytest.approx(encoders.flips[:, 1].sum(), abs=5 * np.sqrt(0.1 / same.size))
     for channel in (0, 2, 3):
         # 5 standard deviations of what so many draws err by; a speed of zero is rounded to itself and blurred all the
         # same, by noise as large as the rounding's
         assert errors[..., channel].std() / sigma[channel] == pytest.approx(1.0, abs=0.15 if channel == 2 else 0.05)
+
+
+def test_what_rests_between_two_steps_shows_the_other_as_often_as_it_did():
+    """A joint that rests is read a step higher in one row of ten and lower in one of fifty, each for one row."""
+    data, step, rng = pushes(0.5, noise=0.0), 8e-4, np.random.default_rng(3)
+    rest = float(np.median(np.concatenate([e.qpos[:, 1] for e in data])))
+    episodes = []
+    for episode in data:
+        qpos, chance = np.array(episode.qpos), rng.random(len(episode))
+        qpos[:, 1] = rest + step * (chance < 0.1) - step * (chance > 0.98)
+        episodes.append(replace(episode, qpos=qpos))
+    encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in episodes])
+    assert encoders.steps[1] == pytest.approx(step, rel=1e-6)
+    assert encoders.rest[1] == rest
+    # 800 rows, of which three of four lie between two at rest: 5 standard deviations of a share of so many
+    assert encoders.flips[:, 1] == pytest.approx([0.1, 0.02], abs=5 * np.sqrt(0.1 / 600))
+    np.testing.assert_array_equal(
+        encoders.flipped(np.vstack([np.hstack([e.qpos, e.qvel]) for e in episodes])),
+        np.concatenate([e.qpos[:, 1] for e in episodes]) != rest,
+    )
+    recorded = Dataset(episodes).windows(4, stride=7, history=HISTORY, past=HISTORY)
+    truth = natural(replay(), np.zeros(0), recorded)
+    sigma = np.array([1e-4, step / np.sqrt(12), 1e-3, 1e-3])
+    noisy = measured(replay(), truth, sigma, recorded, encoders, np.random.default_rng(1))
+    shown = np.round((noisy.state[..., 1] - rest) / step)
+    found = [(shown == 1).mean(), (shown == -1).mean()]
+    assert found == pytest.approx(encoders.flips[:, 1], abs=5 * np.sqrt(0.1 / shown.size))
 
 
 def gains(data: Dataset, what: Effect, values: list[list[float]], length: int) -> tuple[float, list[float]]:

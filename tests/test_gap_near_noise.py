@@ -59,7 +59,7 @@ def trial(effect_: Any, gaps: np.ndarray, density: float) -> Trial:
 
 def selection(far: tuple[float, float] | None, *, touches: bool = True) -> Judging:
     """Over short windows; every channel's noise is one."""
-    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones((2, 4)), np.ones((1, 60, 2, 4)), 0.0)
     there: Any = None if far is None else Known(*far)
     sigma = np.ones(4) if touches else None

@@ -44,7 +44,7 @@ def test_a_part_of_the_windows_leads_too_far(size):
     replay: Any = Change(noise - size * slope, slope, [rub])
     floor, fitter = 1e-6 * np.ones((1, 2)), Fitter(ANYTHING, (1, 2))
     scatter = learn_scatter(noise, 0, floor)
-    court = Court(np.arange(60) // 5, fitter, fitter, floor, np.zeros(0))
+    court = Court(np.arange(60) // 5, fitter, fitter, floor, np.zeros(0), ANYTHING)
     base: Any = SimpleNamespace(xi=np.zeros(0), scatter=scatter, residuals=replay.start, slopes=np.zeros((0, 60, 1, 2)))
     far = fitter.start(replay, np.array([[0.9]]), scatter)
     refitting = Refitting.__new__(Refitting)

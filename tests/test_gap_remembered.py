@@ -1,7 +1,10 @@
 """Effects that remember commands may be among the free parameters of a diagnosis."""
 
+import math
+import tracemalloc
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -9,7 +12,8 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.errors import BadDataset
 from nfpde.gap.checks import check_fit
-from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.foresight import check_commands
+from nfpde.gap.recordings import WINDOW_TIME, cut_recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.search import Search
 from nfpde.parameters import ParameterSpace
@@ -69,3 +73,41 @@ def test_windows_hold_what_free_effects_remember(candidates):
     assert recordings.fit.nhistory >= asked.history_steps(DT)
     assert recordings.fit.row.min() >= steps_back(asked.memory_time, DT) - 1 > 0
     assert np.isfinite(asked.predict(np.full((1, len(asked.space)), 0.01), recordings.fit)).all()
+
+
+def long_logs(rows: int, episodes: int = 2) -> Dataset:
+    """Noise of one command and one joint at a thousand rows a second."""
+    rng = np.random.default_rng(0)
+    time = 1e-3 * np.arange(rows)
+    return Dataset([Episode(str(n), time, *rng.normal(size=(3, rows, 1))) for n in range(episodes)])
+
+
+def test_states_are_kept_no_further_back_than_they_matter():
+    """Commands count for as long as any effects remember, states only as far as the motion is taken up."""
+    rest: Any = None
+    plain = Replay(nominal(), None, [])
+    candidates = [
+        (effect("actuator_lag", "lift", time_constant=(0.0, 0.5)), np.zeros((1, 1))),
+        (effect("backlash", "lift", width=(0.0, 0.1)), np.zeros((1, 1))),
+    ]
+    recordings = Search(plain, record(episodes=4), candidates, rest, 60, 0, rest, rest).cut()
+    recalled = math.ceil(max(e.recall_time() for e, _ in candidates) / DT)
+    assert recalled > 0
+    for windows in (recordings.fit, recordings.held, recordings.rows):
+        assert windows.past.shape[1] == round(WINDOW_TIME / DT) + recalled
+        assert windows.nhistory > 1.5 * windows.past.shape[1]
+
+
+def test_commands_are_checked_without_every_rows_history():
+    """Rows are chosen by their commands first; with 500 commands before each of 40 000 they are 160 MB."""
+    xml = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02"/></body></worldbody>
+      <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+    slow = effect("actuation_delay", "drive", delay=(0.0, 0.5))
+    replay = Replay(mujoco.MjModel.from_xml_string(xml), ParameterSpace(slow.parameters), [])
+    data = long_logs(20_000)
+    tracemalloc.start()
+    check_commands(replay, data, np.array([0.01]))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 40e6

@@ -26,7 +26,7 @@ def trials(matrix, change, target, xi, size):
     replay = Straight(matrix, target)
     fitter = Fitter(ANYTHING, (1, 2))
     unit = Scatter((Student(np.eye(CHANNELS), GAUSSIAN),), np.full((1, CHANNELS), 1e-3))
-    court = Court(BLOCKS, fitter, fitter, np.full((1, CHANNELS), 1e-3), ANYTHING)
+    court = Court(BLOCKS, fitter, fitter, np.full((1, CHANNELS), 1e-3), ANYTHING, ANYTHING)
     fit = fitter.linearise(fitter.start(replay, xi[None], unit))
     held = fit.residuals
     beside = held + size * change[:, None]

@@ -32,7 +32,7 @@ def trial(effect, density, residuals):
 
 def selection(noise, kind=ByGain, **more):
     """A selection whose windows show nothing but this noise (N, nv, C) where a model is right."""
-    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0))
+    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[1:]), np.zeros(0), ANYTHING)
     yardstick = Yardstick(np.ones(noise.shape[1:]), noise[None], 0.0)
     return kind(ANYTHING, None, 1, court, [], yardstick=yardstick, **more)
 
@@ -208,7 +208,7 @@ def test_a_few_windows_of_another_fault_do_not_speak_against_a_true_one():
     floor = np.full((1, 2), 1e-5)
     windows: list[Any] = [fitted, held]
     fitter, other = (Fitter(w, (1, 2)) for w in windows)
-    court = Court(np.arange(80) // 4, fitter, other, floor, np.zeros(1))
+    court = Court(np.arange(80) // 4, fitter, other, floor, np.zeros(1), ANYTHING)
     replay: Any = Straight()
     none, right = (fitter.start(replay, np.array([[xi]]), learn_scatter(fitted + xi, 0, floor)) for xi in (0.0, 0.5))
     better, base = court.judge(None, right), court.judge(None, none)

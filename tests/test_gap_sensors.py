@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
-from nfpde.gap.grain import encoder_grain
+from nfpde.gap.grain import Encoders
 from nfpde.gap.loud import noise_residuals
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
@@ -19,7 +19,7 @@ def test_sensor_noise_is_found():
     data = record(noise=1e-3)
     replay = Replay(nominal(), None, [])
     rows = data.windows(1)
-    sigma = sensor_noise(replay, np.zeros(0), rows)
+    sigma = sensor_noise(replay, np.zeros(0), rows, Encoders.of([rows.start]))
     assert sigma == pytest.approx(1e-3 * np.array([0.5, 0.8, 3.0, 8.0]), rel=0.1)
 
 
@@ -34,7 +34,7 @@ def test_the_grain_of_an_encoder_is_found(rows):
         speed = rng.normal(size=(rows, 2))
         for qpos, wanted in ((steps, grain), (read, np.zeros(2))):
             data = Dataset([Episode("0", 0.01 * np.arange(rows), qpos, speed, np.zeros((rows, model.nu)))])
-            found = encoder_grain(model, data.windows(1).start)
+            found = Encoders.of([data.windows(1).start]).grain(model)
             assert found == pytest.approx([*wanted, 0.0, 0.0], rel=1e-6)
 
 
@@ -42,7 +42,7 @@ def test_a_reading_that_never_changes_has_no_grain():
     """A robot that lies still is read with one number."""
     still = np.full((50, 2), 0.3)
     data = Dataset([Episode("0", 0.01 * np.arange(50), still, np.zeros((50, 2)), np.zeros((50, nominal().nu)))])
-    assert (encoder_grain(nominal(), data.windows(1).start) == 0).all()
+    assert (Encoders.of([data.windows(1).start]).grain(nominal()) == 0).all()
 
 
 def test_noise_at_rest_is_that_of_the_grain():
@@ -50,7 +50,8 @@ def test_noise_at_rest_is_that_of_the_grain():
     data = record()
     coarse = [replace(e, qpos=2e-2 * np.round(e.qpos / 2e-2)) for e in data]
     replay = Replay(nominal(), None, [])
-    sigma = sensor_noise(replay, np.zeros(0), Dataset(coarse).windows(1))
+    rows = Dataset(coarse).windows(1)
+    sigma = sensor_noise(replay, np.zeros(0), rows, Encoders.of([rows.start]))
     assert (sigma[:2] >= 2e-2 / np.sqrt(12) * (1 - 1e-6)).all()
     assert (sigma[:2] < 2 * 2e-2 / np.sqrt(12)).all()
 

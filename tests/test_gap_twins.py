@@ -184,7 +184,7 @@ class Known(Selection):
 
 
 def known(leads, **more):
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     yardstick: Any = SimpleNamespace(floor=np.ones((40, 2, 4)), rounding=0.0)
     selection = Known(ANYTHING, None, 1, court, [], yardstick=yardstick, **more)
     selection.leads = leads
@@ -222,7 +222,7 @@ class Leading(Selection):
 def test_what_does_the_same_is_looked_for_until_nothing_else_is_accepted():
     """A cause that no screening saw is reached from one effect to the next; one that stays is asked about once."""
     near, nearer, cause = trial(RUB, 9.0, 1.0), trial(SPRING, 3.0, 2.0), trial(MOTOR, 1.0, 3.0)
-    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
     selection = Leading(ANYTHING, None, 1, court, [], yardstick=ANYTHING)
     selection.leads = {RUB.name: [nearer], SPRING.name: [cause, near]}
     field, chosen = selection._beside_twins(BASE, selection.accept(BASE, [near], 100.0), [near], [], 100.0)

@@ -27,7 +27,7 @@ BLOCK = np.arange(60) // 3
 
 def selection(noise: np.ndarray) -> Selection:
     """A selection beside noise (draws, N, 2, C)."""
-    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[2:]), np.zeros(0))
+    court = Court(BLOCK, ANYTHING, ANYTHING, np.zeros(noise.shape[2:]), np.zeros(0), ANYTHING)
     return Selection(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones(noise.shape[2:]), noise, 0.0))
 
 
@@ -265,7 +265,7 @@ def test_its_own_windows_tell_how_well_values_are_known(monkeypatch):
     monkeypatch.setattr("nfpde.gap.answer.standard_errors", lambda court, fit: (court, fit))
 
     def stage(name: str) -> Any:
-        fitter = SimpleNamespace(linearise=lambda fit: f"slopes of {fit}")
+        fitter = SimpleNamespace(resolved=lambda fit: f"slopes of {fit}")
         shown = lambda t, refitted: SimpleNamespace(fit=f"{t} on {name}")  # noqa: E731
         return SimpleNamespace(court=SimpleNamespace(name=name, fitter=fitter), shown=shown)
 

@@ -157,7 +157,7 @@ class Outcome:
         """Standard errors of what was found (D,)."""
         court = self._by.court
         shown = self.explained if self.by is None else self.by.shown(self.final, refitted=False)
-        return standard_errors(court, court.fitter.linearise(shown.fit))
+        return standard_errors(court, court.fitter.resolved(shown.fit))
 
     @property
     def _by(self) -> Stage:
@@ -174,7 +174,7 @@ class Outcome:
         if effects == [key(e) for e in self.final.fit.replay.effects]:
             return self.errors
         court = self._by.court
-        shown = court.fitter.linearise(self._by.shown(trial, refitted=False).fit)
+        shown = court.fitter.resolved(self._by.shown(trial, refitted=False).fit)
         rivals = {key(t.effect) for a in self.accepted for t in a.rivals if t.effect is not None}
         if effects[-1] in rivals:
             return standard_errors(court, shown)

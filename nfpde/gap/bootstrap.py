@@ -107,8 +107,8 @@ class NoiseAlone:
         """The court over windows of a draw, and the model fitted to them."""
         while len(self._made) <= draw:
             rng, current = np.random.default_rng([self._seed, len(self._made)]), self._current
-            recorded = self._court.fitter.windows
-            made = [measured(current.fit.replay, truth, self._sigma, recorded, rng) for truth in self._truths]
+            recorded, encoders = self._court.fitter.windows, self._court.encoders
+            made = [measured(current.fit.replay, truth, self._sigma, recorded, encoders, rng) for truth in self._truths]
             there = judging(self._court, current.fit, made, self._sigma, self._seed)
             self._made.append((there, _refitted(there, current, current.fit.xi[None], current.fit.scatter)))
         return self._made[draw]

@@ -34,10 +34,23 @@ def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
     found = []
     for length in range(1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
         horizons = recordings.horizons[:length]
-        count = max(1, round(most / horizons[-1] ** 0.5))
+        count = _most(most, horizons[-1])
         fit, held = (shorter(half, horizons[-1], count) for half in (recordings.fit, recordings.held))
         found.append(replace(recordings, fit=fit, held=held, horizons=horizons, block=blocks_of(held)))
     return found
+
+
+def single_steps(recordings: Recordings, most: int = MOST) -> int:
+    """How many windows the shortest of `brief` has, of both halves together; 0 where there are none."""
+    if len(recordings.horizons) < 2:
+        return 0
+    steps = recordings.horizons[0]
+    halves = (recordings.fit, recordings.held)
+    return sum(min(_most(most, steps), len(half) * (half.horizon // steps)) for half in halves)
+
+
+def _most(of_one_step: int, steps: int) -> int:
+    return max(1, round(of_one_step / steps**0.5))
 
 
 def shorter(windows: Windows, steps: int, most: int) -> Windows:

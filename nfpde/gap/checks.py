@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -16,6 +17,7 @@ from nfpde.gap.foresight import check_commands
 from nfpde.gap.frames import check_frames
 from nfpde.gap.mistakes import (
     Joint,
+    Mistake,
     flips_and_swaps,
     in_degrees,
     in_other_units,
@@ -31,10 +33,12 @@ from nfpde.gap.replay import Replay
 from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
-_Trial = tuple[float, str, Windows]
-"""Error of the nominal model with a mistake undone, the mistake in words, and the windows without it."""
+_Trial = tuple[float, str, Callable[[Windows], Windows]]
+"""Error of the nominal model with a mistake undone, the mistake in words, and what undoes it."""
 
-_WINDOWS = 60
+_WINDOWS, _FEW, _GO_ON = 60, 4, 40
+"""Windows that are looked at. Of more mistakes than so many, one of so many windows tells which go on to all."""
+
 _DIVERGED = 1e6
 """Error of a window whose simulation diverges."""
 
@@ -99,7 +103,8 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     _check_encoders(replay, dataset, xi)
     error = _error(replay, xi, windows)
     if error >= _DIVERGED:
-        _refuse_best(replay, xi, windows, _degrees(replay, xi, windows, joints, error), error, CURED)
+        trials = _degrees(replay, xi, windows, joints, error)
+        _refuse_best(replay, xi, windows, trials, error, CURED)
         raise SimulationDiverged(
             "the nominal model's simulation diverges from most recorded states within "
             f"{windows.horizon * windows.control_dt:.3g} s, so it predicts nothing: halve its timestep "
@@ -110,13 +115,18 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
     check_commands(replay, dataset, xi)
     if error < _FITS:
         return
-    trials = _tried(replay, xi, flips_and_swaps(windows, joints)) + _units(replay, xi, windows, error)
+    trials = _tried(replay, xi, windows, flips_and_swaps(joints)) + _units(replay, xi, windows, error)
     trials += _degrees(replay, xi, windows, joints, error)
     _refuse_best(replay, xi, windows, trials, error, CURED * error)
 
 
-def _tried(replay: Replay, xi: Array, mistakes: list[tuple[str, Windows]]) -> list[_Trial]:
-    return [(_error(replay, xi, changed), text, changed) for text, changed in mistakes]
+def _tried(replay: Replay, xi: Array, windows: Windows, mistakes: list[Mistake]) -> list[_Trial]:
+    """Errors with each mistake undone; of many only of those that look best on a few of the windows."""
+    if len(mistakes) > _GO_ON:
+        few = windows[::_FEW]
+        first = np.argsort([_error(replay, xi, undo(few)) for _, undo in mistakes], kind="stable")[:_GO_ON]
+        mistakes = [mistakes[i] for i in np.sort(first)]
+    return [(_error(replay, xi, undo(windows)), text, undo) for text, undo in mistakes]
 
 
 def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[_Trial], error: float, below: float) -> None:
@@ -125,10 +135,10 @@ def _refuse_best(replay: Replay, xi: Array, windows: Windows, trials: list[_Tria
     What another zero of the same columns does as well is no mistake in writing: a joint that rests beside its zero, and
     its reading with the other sign, differ by a constant, which may be an encoder's offset or where the floor lies.
     """
-    for best, text, changed in sorted(trials, key=lambda trial: trial[:2]):
+    for best, text, undo in sorted(trials, key=lambda trial: trial[:2]):
         if best >= below:
             return
-        if best < CURED * _error_of_zeros(replay, xi, windows, changed, best):
+        if best < CURED * _error_of_zeros(replay, xi, windows, undo(windows), best):
             raise BadDataset(
                 f"the recordings do not fit the model: {text} (the nominal model's error is {error:.2g} times the "
                 f"motion as recorded, {best:.2g} times so changed). Correct the recordings or the model; the model has "
@@ -161,16 +171,16 @@ def _degrees(replay: Replay, xi: Array, windows: Windows, joints: list[Joint], e
     hinges = [j for j in joints if j.turns]
     if not hinges:
         return []
-    single = [_tried(replay, xi, in_degrees(windows, [j])) for j in hinges]
+    single = [_tried(replay, xi, windows, in_degrees([j])) for j in hinges]
     better = [j for j, tried in zip(hinges, single, strict=True) if min(t[0] for t in tried) < error]
     groups = [g for g in (hinges, better) if len(g) > 1]
-    together = [trial for g in groups for trial in _tried(replay, xi, in_degrees(windows, g))]
+    together = [trial for g in groups for trial in _tried(replay, xi, windows, in_degrees(g))]
     return [*(trial for tried in single for trial in tried), *together]
 
 
 def _units(replay: Replay, xi: Array, windows: Windows, error: float) -> list[_Trial]:
     """Errors with the commands in other units, where commands matter: one hundredth is next to none."""
-    tried = _tried(replay, xi, in_other_units(windows)) if windows.nu else []
+    tried = _tried(replay, xi, windows, in_other_units()) if windows.nu else []
     if not tried or min(t[0] for t in tried) >= CURED * error:
         return []
     return tried if min(t[0] for t in tried) < CURED * _error(replay, xi, with_commands(windows, 0.0)) else []

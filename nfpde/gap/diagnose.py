@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.dataset.windows import check_count
-from nfpde.effects import DataScales, all_candidates
-from nfpde.gap.accepted import key
+from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.halves import FEWEST
@@ -79,8 +78,8 @@ def diagnose_gap(
     dataset = start.sim.prepare(dataset)
     computed = check_readings(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
-    free = {key(e) for e in start.sim.effects}  # of the space itself, such as friction at a joint that has some
-    candidates = [(e, e.screened(scales)) for e in all_candidates(mjmodel, scales) if key(e) not in free]
+    # effects of the space itself are fitted anyway, such as friction at a joint that has some
+    candidates = candidates_beside(mjmodel, scales, start.sim.effects)
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
 
     def select(stage: Stage) -> Selection:
@@ -107,7 +106,8 @@ def diagnose_gap(
     stage, found = search.run()
     report("where, and what is left")
     final, accepted, selection = found.final, found.accepted, found.selection
-    sigma = sensor_noise(final.fit.replay, final.fit.xi, found.recordings.rows) / found.near.misjudged
+    rows, encoders = found.recordings.rows, found.recordings.encoders
+    sigma = sensor_noise(final.fit.replay, final.fit.xi, rows, encoders) / found.near.misjudged
     draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
@@ -115,6 +115,25 @@ def diagnose_gap(
         dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error, found.by
     )
     return answer(outcome, time.monotonic() - begin)
+
+
+def candidates_beside(model: mujoco.MjModel, scales: DataScales, free: Sequence[Effect]) -> list[tuple[Effect, Array]]:
+    """Every effect on every element on which it makes sense, with the values to screen, but those that are free.
+
+    Args:
+        model: The nominal model.
+        scales: Typical magnitudes of the recordings.
+        free: Effects whose values are free parameters already.
+    """
+    known = {_what(e, model) for e in free}
+    return [(e, e.screened(scales)) for e in all_candidates(model, scales) if _what(e, model) not in known]
+
+
+def _what(effect: Effect, model: mujoco.MjModel) -> tuple[str, tuple[int, ...]]:
+    """An effect and the elements it acts on, however they are named."""
+    if effect.kind is None:
+        return effect.name, ()
+    return effect.name, tuple(sorted({int(i) for i in effect.bind(model).ids}))
 
 
 def _nominal(start: Replay) -> Array:

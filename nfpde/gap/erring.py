@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
 from nfpde.gap.brief import shorter
+from nfpde.gap.grain import Encoders
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
@@ -25,21 +26,22 @@ MOST = 2.0
 """Factor by which noise is misjudged at most: beyond it the model is not what made the recordings."""
 
 
-def misjudged(replay: Replay, xi: Array, windows: Windows, sigma: Array, seed: int) -> Array:
+def misjudged(replay: Replay, xi: Array, windows: Windows, encoders: Encoders, sigma: Array, seed: int) -> Array:
     """What is found of the noise of every sensor, as a share of it (2 nv,); one where there is none.
 
     Args:
         replay: The model.
         xi: Its free parameters (D,).
         windows: Of recordings, in the longest windows.
+        encoders: Of the recordings.
         sigma: The noise that was found in them (2 nv,).
         seed: Of the draws.
     """
     truth, rng = natural(replay, xi, windows), np.random.default_rng(seed)
     logs = np.zeros(len(sigma))
     for _ in range(DRAWS):
-        rows = shorter(measured(replay, truth, sigma, windows, rng), 1, len(truth) * truth.horizon)
-        again = sensor_noise(replay, xi, rows)
+        rows = shorter(measured(replay, truth, sigma, windows, encoders, rng), 1, len(truth) * truth.horizon)
+        again = sensor_noise(replay, xi, rows, encoders)
         noisy = (sigma > 0) & (again > 0)
         logs[noisy] += np.log(again[noisy] / sigma[noisy]) / DRAWS
     return np.clip(np.exp(logs), 1.0 / MOST, MOST)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset
+from nfpde.gap.grain import Encoders
 from nfpde.gap.readings import CURED
 from nfpde.gap.replay import Replay
 
@@ -21,6 +22,11 @@ commands are smooth the next one would stand in for it."""
 _MOST, _EACH, _FEWEST = 300, 20, 5
 """Steps that are looked at; for each of the numbers that predict them, where these are many; and for each the fewest
 with which anything is said. Half of the steps are laid aside."""
+
+
+_PARTS, _DRAWS, _SURE = 30, 1000, 0.995
+"""Parts in succession that rows are drawn in, draws (bootstrap: Efron, Tibshirani, An introduction to the bootstrap,
+1993), and the share of these that must agree: a sound log that is refused helps nobody."""
 
 
 def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
@@ -46,11 +52,14 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
         return
     sim = replay.sim
     back = max(_PAST, sim.history_steps(dataset.control_dt))
-    every = dataset.windows(2, stride=1, history=back, past=sim.past_steps(dataset.control_dt))
-    known = 1 + every.nq + every.nv + (1 + _PAST) * every.nu
-    windows = _most_commanded(every, max(_MOST, _EACH * known))
-    if len(windows) < _FEWEST * known:
+    known = 1 + dataset.nq + dataset.nv + (1 + _PAST) * dataset.nu
+    every = dataset.windows(2, stride=1)
+    # a step of an encoder that stands for no motion presses feet into floors, which then push by what is commanded
+    sound = np.flatnonzero(~Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset]).flipped(every.start))
+    chosen = sound[_most_commanded(every[sound], max(_MOST, _EACH * known))]
+    if len(chosen) < _FEWEST * known:
         return
+    windows = dataset.windows(2, stride=1, history=back, past=sim.past_steps(dataset.control_dt), at=chosen)
     as_written = replace(windows, state=windows.state[:, :2], ctrl=windows.ctrl[:, :1])
     before = np.concatenate([windows.history, windows.ctrl[:, :1]], axis=1)
     shifted = replace(as_written, ctrl=windows.ctrl[:, 1:], history=before[:, 1:])
@@ -61,38 +70,67 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
         return
     past = windows.history[:, -_PAST:].reshape(len(windows), -1)
     told = np.hstack([np.ones((len(windows), 1)), windows.state[:, 0], windows.ctrl[:, 0], past])
-    shares = [
-        _left(told[sound], lacking[sound, c], row[sound, c]) for c in range(every.nv) if (row[sound, c] != 0).any()
-    ]
-    together = sum(max(np.log(of_residual), np.log(CURED)) for _, of_residual in shares)
-    if any(least < CURED for least, _ in shares) and together <= np.log(CURED):
+    joints = [c for c in range(dataset.nv) if (row[sound, c] != 0).any()]
+    squares = np.array([_squares(told[sound], lacking[sound, c], row[sound, c]) for c in joints])
+    if len(joints) and _surely_late(squares):
         raise BadDataset(
             f"the commands look one row late: ctrl[r] must act from row r to row r+1, and here it is the command that "
-            f"led to row r ({min(shares)[0]:.2g} of what the nominal model cannot explain is left with the next row's "
-            f"commands). Shift them in every episode: ctrl[:-1] = ctrl[1:]"
+            f"led to row r ({np.exp(_left(squares)[0].min()):.2g} of what the nominal model cannot explain is left "
+            f"with the next row's commands). Shift them in every episode: ctrl[:-1] = ctrl[1:]"
         )
 
 
-def _most_commanded(windows: Windows, most: int) -> Windows:
-    """The windows in which commands change most: there it shows in which row they acted."""
+def _most_commanded(windows: Windows, most: int) -> NDArray[np.intp]:
+    """Indices of the windows in which commands change most: there it shows in which row they acted."""
     change = np.abs(windows.ctrl[:, 1] - windows.ctrl[:, 0])
     size = (change / np.where(change.max(0) > 0, change.max(0), 1.0)).sum(1)
     chosen = np.argsort(-size, kind="stable")[:most]
-    return windows[np.sort(chosen[size[chosen] > 0])]
+    return np.sort(chosen[size[chosen] > 0])
 
 
-def _left(told: Array, lacking: Array, row: Array) -> tuple[float, float]:
-    """Share of what state and command (n, K) do not tell of the residual (n,) that is left when a row's step is taken.
+def _surely_late(squares: Array) -> bool:
+    """Whether a row's step explains most of what was left in all rows, and in nearly all draws of their parts.
 
-    Of that residual, or of the row's step, whichever is smaller; and of the residual. From the half of the rows that
-    either explains best: contacts make of some what they like.
+    Where contacts throw a body about, a few rows make up all that is left, and chance decides about these.
+
+    Args:
+        squares: See `_squares`, of all joints (nv, n, 3).
+    """
+    if not _late(squares):
+        return False
+    rng, parts = np.random.default_rng(0), np.array_split(np.arange(squares.shape[1]), _PARTS)
+    sums = np.stack([squares[:, part].sum(1) for part in parts], axis=1)
+    late = [_late(sums[:, rng.integers(0, _PARTS, _PARTS)]) for _ in range(_DRAWS)]
+    return float(np.mean(late)) >= _SURE
+
+
+def _late(squares: Array) -> bool:
+    least, of_residual = _left(squares)
+    together = np.maximum(of_residual, np.log(CURED)).sum()
+    return bool((least < np.log(CURED)).any() and together <= np.log(CURED))
+
+
+def _left(squares: Array) -> tuple[Array, Array]:
+    """Share of what state and command do not tell that is left when a row's step is taken, by joint, as logarithms.
+
+    Of the residual, or of the row's step, whichever is smaller (nv,); and of the residual (nv,).
+    """
+    before, step, after = np.log(np.maximum(squares.sum(1), 1e-300)).T
+    return after - np.minimum(before, step), after - before
+
+
+def _squares(told: Array, lacking: Array, row: Array) -> Array:
+    """What state and command (n, K) do not tell of the residual, the row's step and their difference, squared (n, 3).
+
+    In the half of the rows that either explains best, else zero: contacts make of some what they like.
     """
     columns = np.column_stack([lacking, row, lacking - row])
     apart = np.abs(_untold(told, columns))
     nearest = np.minimum(apart[:, 0], apart[:, 2])
     half = nearest <= np.median(nearest)
-    before, step, after = np.maximum((_untold(told[half], columns[half]) ** 2).sum(0), 1e-300)
-    return after / min(before, step), after / before
+    squares = np.zeros_like(columns)
+    squares[half] = _untold(told[half], columns[half]) ** 2
+    return squares
 
 
 def _untold(told: Array, columns: Array) -> Array:

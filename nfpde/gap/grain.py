@@ -1,12 +1,14 @@
-"""The step of an encoder, read off its readings."""
+"""The steps of encoders, read off their readings."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.dataset import Windows
 from nfpde.elements import is_axis
 
 Array = NDArray[np.float64]
@@ -23,36 +25,70 @@ _PARTS, _WHOLE = 3, 1e-2
 them, in shortest steps, every step is."""
 
 
-def encoder_grain(model: mujoco.MjModel, read: Array) -> Array:
-    """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one.
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """What the readings in recorded states tell of the encoders, by column of the states.
 
-    Args:
-        model: Whose joints they are.
-        read: States as they were recorded (n, nq+nv).
+    steps: what readings are multiples of, give or take a constant; 0 where of nothing (nq+nv,)
+    rest: the reading that most rows have; NaN where there is none (nq+nv,)
+    flips: share of the rows in which a reading at rest shows the next step up, and down, for one row (2, nq+nv)
     """
-    grain = np.zeros(2 * model.nv)
-    for dof, joint in enumerate(model.dof_jntid):
-        if is_axis(model, int(joint)):
-            grain[dof] = step_of(read[:, model.jnt_qposadr[joint]])
-        grain[model.nv + dof] = step_of(read[:, model.nq + dof])
-    return grain
+
+    steps: Array
+    rest: Array
+    flips: Array
+
+    @classmethod
+    def of(cls, episodes: Sequence[Array]) -> Encoders:
+        """Of all that was recorded, as a robot that rests shows two readings of an encoder now and then.
+
+        Args:
+            episodes: States of each, (rows, nq+nv).
+        """
+        read = np.concatenate(episodes)
+        steps = np.array([step_of(column) for column in read.T])
+        rest = np.array([_most_read(column) for column in read.T])
+        flips = np.zeros((2, len(steps)))
+        for column in np.flatnonzero((steps > 0) & np.isfinite(rest)):
+            parts = [np.round((e[:, column] - rest[column]) / steps[column]) for e in episodes]
+            flips[:, column] = _flips(parts)
+        return cls(steps, rest, flips)
+
+    def flipped(self, read: Array) -> NDArray[np.bool_]:
+        """Which of some recorded states (n, nq+nv) show the next step of any encoder at rest (n,)."""
+        steps = np.abs(read - self.rest) / np.where(self.steps > 0, self.steps, np.inf)
+        return ((steps > 0.5) & (steps < 1.5) & (self.flips.sum(0) > 0)).any(1)
+
+    def grain(self, model: mujoco.MjModel) -> Array:
+        """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one."""
+        grain = np.zeros(2 * model.nv)
+        for dof, joint in enumerate(model.dof_jntid):
+            if is_axis(model, int(joint)):
+                grain[dof] = self.steps[model.jnt_qposadr[joint]]
+            grain[model.nv + dof] = self.steps[model.nq + dof]
+        return grain
+
+    def resting(self, model: mujoco.MjModel) -> NDArray[np.bool_]:
+        """Which hinges and slides read the same in most rows, by degree of freedom (nv,)."""
+        return np.array(
+            [is_axis(model, int(j)) and np.isfinite(self.rest[model.jnt_qposadr[j]]) for j in model.dof_jntid], bool
+        )
 
 
-def resting(model: mujoco.MjModel, rows: Windows) -> NDArray[np.bool_]:
-    """Which hinges and slides read the same in most rows, by degree of freedom (nv,)."""
-    found, read = np.zeros(model.nv, bool), rows.state[:, 0]
-    for dof, joint in enumerate(model.dof_jntid):
-        if is_axis(model, int(joint)):
-            readings = np.sort(read[:, model.jnt_qposadr[joint]])
-            same = np.diff(readings) <= _SAME * (readings[-1] - readings[0])
-            found[dof] = _longest(same) > len(readings) / 2
-    return found
-
-
-def _longest(same: NDArray[np.bool_]) -> int:
-    """Length of the longest run of equal values, from which neighbours are the same (n - 1,)."""
+def _most_read(values: Array) -> float:
+    """The value that more than half of all (n,) have, give or take rounding; NaN if none."""
+    readings = np.sort(values)
+    same = np.diff(readings) <= _SAME * (readings[-1] - readings[0])
     ends = np.flatnonzero(~np.concatenate([[False], same, [False]]))
-    return int(np.diff(ends).max())
+    longest = int(np.diff(ends).argmax())
+    return float(readings[ends[longest]]) if np.diff(ends)[longest] > len(readings) / 2 else np.nan
+
+
+def _flips(episodes: Sequence[Array]) -> tuple[float, float]:
+    """Share of the rows between two rows at rest that read one step more, and one less; readings in steps from rest."""
+    between = [e[1:-1][(e[:-2] == 0) & (e[2:] == 0)] for e in episodes]
+    middle = np.concatenate(between)
+    return (float((middle == 1).mean()), float((middle == -1).mean())) if len(middle) else (0.0, 0.0)
 
 
 def step_of(values: Array) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import mujoco
@@ -13,7 +14,8 @@ from nfpde.dataset import Windows
 from nfpde.elements import actuator_ctrls, element_names, is_axis
 from nfpde.gap.readings import DEGREES, listed
 
-_MOST_PAIRS = 70
+Mistake = tuple[str, Callable[[Windows], Windows]]
+"""What may look wrong, in words, and what undoes it."""
 
 _PARTS = (("", True, True), (" in qpos and qvel", True, False), (" in the commands", False, True))
 """What may be flipped or swapped of a joint: how to say it, whether its states are, whether its commands are."""
@@ -55,23 +57,29 @@ def joints_of(model: mujoco.MjModel) -> list[Joint]:
     return out
 
 
-def flips_and_swaps(windows: Windows, joints: list[Joint]) -> list[tuple[str, Windows]]:
-    """What may look flipped or swapped, in words, and the windows with that undone."""
-    flips = [
-        (f"{j.name}'s sign looks flipped{of}", _flipped(windows, j, *part)) for j in joints for of, *part in _PARTS
+def flips_and_swaps(joints: list[Joint]) -> list[Mistake]:
+    """Every joint's sign, and every two joints' columns: states, commands, or both."""
+    flips: list[Mistake] = [
+        (f"{j.name}'s sign looks flipped{of}", partial(_flipped, joint=j, states=states, commands=commands))
+        for j in joints
+        for of, states, commands in _PARTS
     ]
-    pairs = list(combinations(joints, 2))[:_MOST_PAIRS]
-    swaps = [
-        (f"{a.name} and {b.name} look swapped{of}", _swapped(windows, a, b, *p)) for a, b in pairs for of, *p in _PARTS
+    swaps: list[Mistake] = [
+        (f"{a.name} and {b.name} look swapped{of}", partial(_swapped, a=a, b=b, states=states, commands=commands))
+        for a, b in combinations(joints, 2)
+        for of, states, commands in _PARTS
     ]
     return [*flips, *swaps]
 
 
-def in_other_units(windows: Windows) -> list[tuple[str, Windows]]:
-    """That all commands look too large or too small, in words, and the windows with that undone."""
+def in_other_units() -> list[Mistake]:
+    """All commands too large or too small."""
     return [
-        (f"the commands look {times}; convert them to what the model's actuators take", with_commands(windows, factor))
-        for times, factor in (
+        (
+            f"the commands look {times}; convert them to what the model's actuators take",
+            partial(with_commands, factor=x),
+        )
+        for times, x in (
             ("100 times too large, as in percent", 0.01),
             ("100 times too small, as shares of what should be percent", 100.0),
             ("1000 times too large", 0.001),
@@ -87,20 +95,13 @@ def with_commands(windows: Windows, factor: float) -> Windows:
     return replace(windows, ctrl=factor * windows.ctrl, history=factor * windows.history)
 
 
-def in_degrees(windows: Windows, joints: Sequence[Joint]) -> list[tuple[str, Windows]]:
-    """That these hinges look recorded in degrees, in words, and the windows in rad; once more with their commands."""
+def in_degrees(joints: Sequence[Joint]) -> list[Mistake]:
+    """These hinges recorded in degrees; once more with their commands, where these are angles."""
     looks = "looks" if len(joints) == 1 else "look"
     text = f"{listed([j.name for j in joints])} {looks} recorded in degrees; convert"
-    nq = windows.nq
-    scale_x, scale_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
-    scale_x[[c for j in joints for c in (j.q, nq + j.v)]] /= DEGREES
-    scale_u[[c for j in joints for c in j.angles]] /= DEGREES
-    out = [(f"{text} to rad", replace(windows, state=windows.state * scale_x))]
-    if (scale_u != 1).any():
-        both = replace(
-            windows, state=windows.state * scale_x, ctrl=windows.ctrl * scale_u, history=windows.history * scale_u
-        )
-        out.append((f"{text} qpos, qvel and commands to rad", both))
+    out: list[Mistake] = [(f"{text} to rad", partial(_in_rad, joints=joints, commands=False))]
+    if any(j.angles for j in joints):
+        out.append((f"{text} qpos, qvel and commands to rad", partial(_in_rad, joints=joints, commands=True)))
     return out
 
 
@@ -116,6 +117,17 @@ def with_other_zeros(windows: Windows, changed: Windows, share: float = 1.0) -> 
     shift[windows.nq :] = 0.0
     push = share * (changed.ctrl - windows.ctrl).mean((0, 1))
     return replace(windows, state=windows.state + shift, ctrl=windows.ctrl + push, history=windows.history + push)
+
+
+def _in_rad(windows: Windows, joints: Sequence[Joint], commands: bool) -> Windows:
+    """Hinges' positions and speeds from degrees, and the angles among their commands or not."""
+    scale_x, scale_u = np.ones(windows.state.shape[2]), np.ones(windows.nu)
+    scale_x[[c for j in joints for c in (j.q, windows.nq + j.v)]] /= DEGREES
+    if commands:
+        scale_u[[c for j in joints for c in j.angles]] /= DEGREES
+    return replace(
+        windows, state=windows.state * scale_x, ctrl=windows.ctrl * scale_u, history=windows.history * scale_u
+    )
 
 
 def _flipped(windows: Windows, joint: Joint, states: bool, commands: bool) -> Windows:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.gap.grain import encoder_grain
+from nfpde.gap.grain import Encoders
 from nfpde.gap.recordings import WINDOW_TIME
 from nfpde.gap.replay import Replay
 from nfpde.sim.simulator import steps_back
@@ -69,29 +69,39 @@ def begun_earlier(windows: Windows, rows: int) -> Windows:
     )
 
 
-def measured(replay: Replay, truth: Windows, sigma: Array, recorded: Windows, rng: np.random.Generator) -> Windows:
+def measured(
+    replay: Replay, truth: Windows, sigma: Array, recorded: Windows, encoders: Encoders, rng: np.random.Generator
+) -> Windows:
     """Windows as the sensors would have recorded them, in all states, those of their past too.
 
-    What encoders round is rounded, not blurred: at rest it errs by the same in every row.
+    What encoders round is rounded, not blurred: at rest it errs by the same in every row, but for those in which the
+    recordings show the next step.
 
     Args:
         replay: The model.
         truth: What it goes through.
         sigma: Noise of the sensors, rounding included (2 nv,).
-        recorded: Windows of the recordings, that show which steps encoders have.
+        recorded: Windows of the recordings, that show where the steps of encoders lie.
+        encoders: Of the recordings.
         rng: Draws.
     """
     model = replay.sim.model
-    grain = encoder_grain(model, recorded.state.reshape(-1, recorded.state.shape[2]))
+    grain, resting = encoders.grain(model), encoders.resting(model)
     states = np.concatenate([truth.past, truth.state], axis=1)
     known = np.all(np.isfinite(states), axis=2)
     own = np.sqrt(np.maximum(sigma**2 - grain**2 / 12.0, 0.0))
+    own[: model.nv][resting & (grain[: model.nv] > 0)] = 0.0
     noise = own * rng.normal(size=(*states.shape[:2], len(sigma)))
     states[known] = replay.sim.states.moved(states[known], noise[known])
     for channel in np.flatnonzero(grain):
         joint = int(model.dof_jntid[channel % model.nv])
         column = int(model.jnt_qposadr[joint]) if channel < model.nv else model.nq + channel - model.nv
         step, zero = grain[channel], recorded.state[0, 0, column]
-        states[..., column] = zero + step * np.round((states[..., column] - zero) / step)
+        read = zero + step * np.round((states[..., column] - zero) / step)
+        if channel < model.nv and resting[channel]:
+            up, down = encoders.flips[:, column]
+            chance, rests = rng.random(read.shape), np.abs(read - encoders.rest[column]) < 0.5 * step
+            read = read + step * (rests & (chance < up)) - step * (rests & (chance >= 1.0 - down))
+        states[..., column] = read
     rows = truth.past.shape[1]
     return replace(truth, past=states[:, :rows], state=states[:, rows:])

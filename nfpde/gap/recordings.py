@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset
+from nfpde.gap.grain import Encoders
 from nfpde.gap.halves import FEWEST, HeldOut, by_seed
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ class Recordings:
     held_out: names of the held-out episodes, see `HeldOut.names`
     rows: held-out single steps in a row, for the sensor noise
     longest: held-out windows as long as any, where these may be shorter
+    encoders: what the readings in all rows tell of the encoders
     """
 
     fit: Windows
@@ -54,6 +56,7 @@ class Recordings:
     held_out: tuple[str, ...]
     rows: Windows
     longest: Windows
+    encoders: Encoders
 
 
 def joined(first: Windows, second: Windows) -> Windows:
@@ -68,18 +71,25 @@ def windows_for(nv: int) -> int:
 
 
 def cut_recordings(
-    dataset: Dataset, history: int, seed: int, windows: int, lead: int = 0, held: HeldOut | None = None
+    dataset: Dataset,
+    history: int,
+    seed: int,
+    windows: int,
+    lead: int = 0,
+    held: HeldOut | None = None,
+    past: int | None = None,
 ) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
     Args:
         dataset: The recordings.
-        history: Commands and states needed from before a window's start.
+        history: Commands needed from before a window's start.
         seed: Decides which episodes are held out.
         windows: Most windows of each half.
         lead: Rows at an episode's beginning that an effect with a memory knows too little of: no window starts there,
             where enough others do.
         held: What to hold out; None: as the seed decides.
+        past: States needed from before a window's start; None: as many as commands.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
@@ -87,6 +97,7 @@ def cut_recordings(
     lengths = np.array([len(e) for e in dataset])
     steps = _window_steps(lengths, dataset.control_dt)
     held = by_seed(lengths, steps, seed) if held is None else held
+    past = history if past is None else past
     stride = steps + 1  # a row apart: the noise of one that ends a window and starts the next would be in both
     chosen = _halves(dataset.windows(steps, stride=stride), lead, held)
     if min(map(len, chosen)) < FEWEST:  # short recordings cannot spare the rows
@@ -100,13 +111,13 @@ def cut_recordings(
                 f"best as four or more episodes"
             )
     first, second = (
-        dataset.windows(steps, stride=stride, history=history, past=history, at=_spread(half, windows))
-        for half in chosen
+        dataset.windows(steps, stride=stride, history=history, past=past, at=_spread(half, windows)) for half in chosen
     )
     singles = dataset.windows(1)
     inside = np.flatnonzero(np.isin(singles.episode, second.episode) & held.late(singles))
-    rows = dataset.windows(1, history=history, past=history, at=inside[: 20 * windows])
-    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second)
+    rows = dataset.windows(1, history=history, past=past, at=inside[: 20 * windows])
+    encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset])
+    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second, encoders)
 
 
 def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Index, Index]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects.joint_offset import JointOffset
 from nfpde.gap.brief import brief
-from nfpde.gap.grain import encoder_grain, resting
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.stage import first_fit
@@ -30,9 +29,14 @@ _LOOKS, _SWEEPS = 16, 2
 """Offsets of each encoder that are looked at, and how often: a floor that is not reached has no slope to follow."""
 
 
-class ReadingOffset(JointOffset):
-    """A reading that is off, of which servos know nothing."""
+_SOUND = 0.5
+"""Share of the windows that the nominal model must at least get through, to say anything of offsets."""
 
+
+class ReadingOffset(JointOffset):
+    """A reading that is off, of which servos know nothing; no effect of the library."""
+
+    name = "reading_offset"
     sentence: ClassVar[str] = "The recorded position is the true one plus a constant."
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
@@ -50,7 +54,8 @@ def resting_error(
 ) -> Array:
     """By how much joints that rest at one reading read too high, at most half a step of their encoders (nv,).
 
-    The offsets that fit best beside the free parameters, over short windows.
+    The offsets that fit best beside the free parameters, over short windows; none where the nominal model diverges
+    from most recorded states, which `check_fit` refuses.
 
     Args:
         model: The nominal model.
@@ -60,10 +65,14 @@ def resting_error(
         nthread: Threads; 0 takes all cores this process may use.
         capped: See `first_fit`.
     """
-    grain = np.where(resting(model, recordings.rows), encoder_grain(model, recordings.rows.start)[: model.nv], 0.0)
+    encoders = recordings.encoders
+    grain = np.where(encoders.resting(model), encoders.grain(model)[: model.nv], 0.0)
     dofs = np.flatnonzero(grain)
     error = np.zeros(model.nv)
     if not len(dofs):
+        return error
+    nominal = Replay(model, space, [], nthread).predict(guesses[:1], recordings.fit)[0]
+    if np.isfinite(nominal).all((1, 2)).mean() < _SOUND:
         return error
     halves = 0.5 * grain[dofs]
     effects = [ReadingOffset(int(model.dof_jntid[d]), offset=(-h, h)) for d, h in zip(dofs, halves, strict=True)]

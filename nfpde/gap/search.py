@@ -12,11 +12,11 @@ from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
-from nfpde.gap.brief import EVERY, MOST, brief
+from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
 from nfpde.gap.halves import HeldOut, alike_halves
-from nfpde.gap.recordings import Recordings, cut_recordings, joined
+from nfpde.gap.recordings import WINDOW_TIME, Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
@@ -125,8 +125,9 @@ class Search:
             lead: Rows at an episode's beginning in which none starts; None: as many as a single effect remembers.
             held: What to hold out; None: as the seed decides.
         """
-        history, rows = self._history()
-        return cut_recordings(self.dataset, history, self.seed, self.windows, rows if lead is None else lead, held)
+        history, past, rows = self._history()
+        lead = rows if lead is None else lead
+        return cut_recordings(self.dataset, history, self.seed, self.windows, lead, held, past)
 
     def run(self) -> tuple[Stage, Found]:
         """What was found, and the stage on which its gap is measured.
@@ -151,10 +152,9 @@ class Search:
 
     def _has_more(self, recordings: Recordings) -> bool:
         """Whether there are far more single steps than were looked at."""
-        if not self.touches or not brief(recordings):
+        if not self.touches:
             return False
-        used, every = (brief(recordings, most)[0] for most in (self.most, EVERY))
-        return len(every.fit) + len(every.held) > FAR_MORE * (len(used.fit) + len(used.held))
+        return single_steps(recordings, EVERY) > FAR_MORE * single_steps(recordings, self.most)
 
     def _to_the_end(self) -> tuple[Stage, Found]:
         """Search on short windows and long ones."""
@@ -217,6 +217,8 @@ class Search:
             if not self._hid(first, selection, final):
                 break
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
+            if not whole:  # else what was tried is shown on the longest windows
+                selection.ranking[:] = [near.shown(t, refitted=False) for t in selection.ranking]
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
@@ -237,7 +239,7 @@ class Search:
         base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
         if early is None:
             every = self.cut(0)
-            rows = self._history()[1]
+            rows = self._history()[2]
             if begins_worse(base, court, self._lengths(every)[0], rows):
                 recordings, lead, lengths = every, 0, self._lengths(every)
                 base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
@@ -330,7 +332,8 @@ class Search:
         """
         if not self.touches:
             return selection.at_floor(final)
-        sigma = sensor_noise(final.fit.replay, final.fit.xi, near.recordings.rows) / near.misjudged
+        rows, encoders = near.recordings.rows, near.recordings.encoders
+        sigma = sensor_noise(final.fit.replay, final.fit.xi, rows, encoders) / near.misjudged
         selection.count(final.fit.replay)
         return bool((sigma < QUIETER * near.sigma).any())
 
@@ -362,16 +365,21 @@ class Search:
         base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma, dofs=dofs)
         return in_noise(base, court, longer, self.seed, known, share=before.misjudged)
 
-    def _history(self) -> tuple[int, int]:
-        """Commands from before a window that any three candidates and the free effects may need, and any one may."""
+    def _history(self) -> tuple[int, int, int]:
+        """Commands and states from before a window that are needed, and commands that any one candidate may need.
+
+        Any three candidates and the free effects may act by what was commanded before. States are needed as far back as
+        any of them recalls, from where a window begins or a longest window's time earlier (see `natural`).
+        """
         effects, dt, known = [e for e, _ in self.candidates], self.dataset.control_dt, self.start.sim
         recall = _steps(max((e.recall_time() for e in effects), default=0.0), dt)
         recall = max(recall, known.past_steps(dt))
         times = sorted((e.memory_time() for e in effects), reverse=True)[:3]
         longest = known.memory_time + max(times, default=0.0)
         if longest <= 0:
-            return recall, 0
-        return _steps(known.memory_time + sum(times), dt) + 2 + recall, _steps(longest, dt)
+            return recall, recall, 0
+        history = _steps(known.memory_time + sum(times), dt) + 2 + recall
+        return history, min(history, recall + round(WINDOW_TIME / dt)), _steps(longest, dt)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""

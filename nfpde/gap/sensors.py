@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from nfpde.dataset import Windows
-from nfpde.gap.grain import encoder_grain
+from nfpde.gap.grain import Encoders
 from nfpde.gap.replay import Replay, displaced
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ _TURNS, _ROUNDS = 2, 60
 """Times that slopes are taken anew at what was found, and updates each time."""
 
 
-def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
+def sensor_noise(replay: Replay, xi: Array, rows: Windows, encoders: Encoders) -> Array:
     """Standard deviation of the sensors' noise on every channel of a difference, (2 nv,).
 
     One-step residuals r(t) = e(t+1) - A e(t) + gap hold the noise e twice. The second difference
@@ -42,8 +42,9 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
         replay: The model that predicts.
         xi: Its free parameters (D,).
         rows: Windows of one control step, many of them in succession.
+        encoders: Of the recordings.
     """
-    grain = encoder_grain(replay.sim.model, rows.start) / np.sqrt(12.0)
+    grain = encoders.grain(replay.sim.model) / np.sqrt(12.0)
     return np.maximum(_varying_noise(replay, xi, rows), grain)
 
 

@@ -67,6 +67,7 @@ class Stage:
         """
         court, replay = self.court, trial.fit.replay
         fit = court.fitter.start(replay, trial.fit.xi[None], self.base.fit.scatter)
+        fit = replace(fit, information=trial.fit.information)  # says over which steps slopes are slopes
         fit = court.fitter.rescale(fit, court.scatter(fit))
         if refitted:
             fit = min((fit, court.settle(fit)), key=lambda f: float(self.yardstick.gap(f.residuals).mean()))
@@ -102,7 +103,9 @@ def first_fit(
     fit, share = _improved(fitter, start, guesses, scatter), CAPPED if capped else 0.0
     if capped and look and (sigma is None or not _is_noise(fitter, fit, sigma)):
         fit = best_of_pits(fitter, fit, guesses)
-    court = Court(recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], share)
+    court = Court(
+        recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], recordings.encoders, share
+    )
     fit = court.settle(fit, rounds=1, iterations=5)
     court = replace(court, floor=floor_of(fit.residuals, moved))
     return _judged(court.settle(fit, rounds=1, iterations=5), court, moved)
@@ -190,9 +193,11 @@ def in_noise(
         share: By how much the noise of the sensors is misjudged, where an earlier stage has found it, see `Stage`.
     """
     known = base.fit if known is None else known
-    sigma = sensor_noise(known.replay, known.xi, recordings.rows)
+    sigma = sensor_noise(known.replay, known.xi, recordings.rows, recordings.encoders)
     if share is None:
-        share = misjudged(known.replay, known.xi, recordings.longest, sigma, seed) if court.capped else 1.0
+        share = 1.0
+        if court.capped:
+            share = misjudged(known.replay, known.xi, recordings.longest, recordings.encoders, sigma, seed)
     sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
     court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)

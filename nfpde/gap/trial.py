@@ -11,6 +11,7 @@ from scipy.stats import wilcoxon
 
 from nfpde.effects import Effect
 from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.grain import Encoders
 from nfpde.gap.loud import DRAWS, noise_residuals
 from nfpde.gap.noise import Scatter, learn_scatter
 
@@ -63,6 +64,7 @@ class Court:
     fitter, held: of the windows of either half
     floor: smallest residual believed (nv, C)
     nominal: base parameters of the nominal model
+    encoders: of the recordings
     capped: share of the largest residuals that are capped where a gap is measured
     quiet: scatter of the residuals where nothing is missing; None where it is not known yet
     """
@@ -72,6 +74,7 @@ class Court:
     held: Fitter
     floor: Array
     nominal: Array
+    encoders: Encoders
     capped: float = 0.0
     quiet: Scatter | None = None
 
