@@ -135,3 +135,68 @@ def test_wrong_calls_are_refused(tmp_path):
     (tmp_path / "box.xml").write_text(FREE_BOX)
     with pytest.raises(BadParameter, match="expected 3 finite values"):
         export_mjcf(tmp_path / "box.xml", [effect("wind", **WIND)], [1.0], tmp_path / "out.xml")
+
+
+TRIANGLE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+GRIPPER = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="jaw" file="jaw.obj"/></asset>
+<worldbody><body name="jaw"><joint name="opens" axis="0 1 0"/><geom type="mesh" mesh="jaw"/></body></worldbody>
+</mujoco>"""
+CARRIER = """<mujoco><asset><model name="gripper" file="gripper/gripper.xml"/></asset><worldbody><body name="hand">
+<joint name="turns" axis="0 0 1"/><geom size=".1"/><attach model="gripper" body="jaw" prefix="g_"/></body></worldbody>
+</mujoco>"""
+
+
+def test_meshes_of_attached_models_are_found(tmp_path):
+    """The file can be read from anywhere; where two folders have a mesh of that name, it does not say which it is."""
+    folder = tmp_path / "robot"
+    (folder / "gripper" / "meshes").mkdir(parents=True)
+    (folder / "gripper" / "meshes" / "jaw.obj").write_text(TRIANGLE)
+    (folder / "gripper" / "gripper.xml").write_text(GRIPPER)
+    (folder / "carrier.xml").write_text(CARRIER)
+    greasy = [effect("viscous_damping", "g_opens", damping=(0, 1))]
+    out = export_mjcf(folder / "carrier.xml", greasy, [0.3], tmp_path / "new" / "folder" / "greasy.xml")
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert model.nmesh == 1
+    assert model.dof_damping.tolist() == [0.0, 0.3]
+    (folder / "other").mkdir()
+    (folder / "other" / "jaw.obj").write_text(TRIANGLE)
+    with pytest.raises(BadModel, match=r"'jaw.obj' of 'g_jaw' is in 2 folders"):
+        export_mjcf(folder / "carrier.xml", greasy, [0.3], tmp_path / "greasy.xml")
+
+
+def test_values_with_which_nothing_compiles_are_refused(tmp_path):
+    (tmp_path / "robot.xml").write_text(SERVO_ARM)
+    space = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
+    with pytest.raises(BadParameter, match=r"out.xml: MuJoCo cannot compile the model with these values: .*mass"):
+        export_mjcf(tmp_path / "robot.xml", [], [-0.5], tmp_path / "out.xml", space)
+    assert not (tmp_path / "out.xml").exists()
+
+
+def test_inertias_that_a_file_takes_from_geoms_alone(tmp_path):
+    """What bodies say of themselves is ignored there, and stays so in those that do not change."""
+    xml = SERVO_ARM.replace("<option", '<compiler inertiafromgeom="true"/><option', 1)
+    at = xml.index(">", xml.index('<body name="hand"')) + 1
+    lies = xml[:at] + '<inertial pos="0 0 1" mass="50" diaginertia="9 9 9"/>' + xml[at:]
+    (tmp_path / "robot.xml").write_text(lies)
+    space = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
+    out = export_mjcf(tmp_path / "robot.xml", [], [0.9], tmp_path / "changed.xml", space)
+    old, new = load_model(tmp_path / "robot.xml"), load_model(out)
+    lower = old.body("lower").id
+    assert old.body("hand").mass[0] < 50
+    np.testing.assert_allclose(new.body_mass, np.where(np.arange(old.nbody) == lower, 0.9, old.body_mass), rtol=1e-5)
+    np.testing.assert_allclose(new.body_ipos, old.body_ipos, atol=1e-6)
+
+
+def test_the_space_of_a_fit_may_hold_effects(tmp_path):
+    """Its effects are written as those that are given, after the model's fields."""
+    (tmp_path / "robot.xml").write_text(SERVO_ARM)
+    damped = effect("viscous_damping", "elbow", damping=(0, 2))
+    base = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
+    shifted = effect("com_shift", "lower", **SHIFT)
+    values = [0.9, 0.3, 0.0, 0.02, 0.01]
+    one, other = tmp_path / "one.xml", tmp_path / "other.xml"
+    export_mjcf(tmp_path / "robot.xml", [damped, shifted], values, one, base)
+    export_mjcf(tmp_path / "robot.xml", [shifted], values, other, base + damped.parameters)
+    assert one.read_text() == other.read_text()
+    with pytest.raises(BadParameter, match="expected 5 finite values"):
+        export_mjcf(tmp_path / "robot.xml", [shifted], values[:-1], other, base + damped.parameters)

@@ -12,10 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.effects import Effect, World
+from nfpde.effects import Effect, World, effects_in
 from nfpde.effects.effect import overrides
+from nfpde.errors import BadEffect
+from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
+
+
+def split_space(space: ParameterSpace | None) -> tuple[ParameterSpace | None, list[Effect]]:
+    """Separate a space into model fields and the effects whose parameters it holds, not bound.
+
+    Raises:
+        BadEffect: parameters of effects that do not follow all others, or not in order.
+    """
+    if space is None:
+        return None, []
+    inside = effects_in(space)
+    of_effects = [(p.field, p.target) for e in inside for p in e.parameters]
+    base = [p for p in space if (p.field, p.target) not in of_effects]
+    if [(p.field, p.target) for p in space] != [*((p.field, p.target) for p in base), *of_effects]:
+        raise BadEffect("parameters of effects must follow all others in a space, each effect's in its own order")
+    return (ParameterSpace(base) if base else None), inside
 
 
 def effect_columns(effects: Sequence[Effect], first: int) -> list[slice]:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.dataset.timing import same_step
-from nfpde.effects import Effect, effects_in
-from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
+from nfpde.effects import Effect
+from nfpde.errors import BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
-from nfpde.sim.acting import BoundEffects
+from nfpde.sim.acting import BoundEffects, split_space
 from nfpde.sim.alike import ModelSource, load_models, refuse_unlike_effects
 from nfpde.sim.cores import usable_cores
 from nfpde.sim.fields import get_field
@@ -61,7 +61,7 @@ class MujocoSimulator(Simulator):
     ) -> None:
         self.models = load_models(model)
         self.model = self.models[0]
-        base, inside = _split(space)
+        base, inside = split_space(space)
         if base is None and not inside and not effects:
             raise BadParameter("give a parameter space or at least one effect; there is nothing to estimate")
         self.effects = [e.bind(self.model) for e in [*inside, *effects]]
@@ -203,15 +203,3 @@ def _step(batch: mujoco.batch.Batch, ids: NDArray[np.intp], nstep: int) -> None:
         batch.step(ids, nstep=nstep)
     except mujoco.batch.SimulationError as error:
         raise BadModel(f"MuJoCo cannot simulate this model: {error}") from None
-
-
-def _split(space: ParameterSpace | None) -> tuple[ParameterSpace | None, list[Effect]]:
-    """Separate a space into model fields and the effects whose parameters it holds."""
-    if space is None:
-        return None, []
-    inside = effects_in(space)
-    of_effects = [(p.field, p.target) for e in inside for p in e.parameters]
-    base = [p for p in space if (p.field, p.target) not in of_effects]
-    if [(p.field, p.target) for p in space] != [*((p.field, p.target) for p in base), *of_effects]:
-        raise BadEffect("parameters of effects must follow all others in a space, each effect's in its own order")
-    return (ParameterSpace(base) if base else None), inside

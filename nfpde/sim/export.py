@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
-from nfpde.errors import BadEffect, BadParameter
+from nfpde.errors import BadEffect, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
-from nfpde.sim.acting import effect_columns
+from nfpde.sim.acting import effect_columns, split_space
 from nfpde.sim.fields import array_fields, get_field
 from nfpde.sim.model import compile_file
 from nfpde.sim.writer import ModelWriter
@@ -25,6 +26,8 @@ _DIGITS = 1e-4
 """Relative difference that the decimals of an MJCF file may make."""
 
 _AUTO = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
+
+_ALWAYS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 
 _HOOKS = ("command", "step", "to_simulated", "to_measured")
 
@@ -46,15 +49,16 @@ def export_mjcf(
         effects: effects, not bound.
         values: those of `space` first, if there is one, then those of the effects in order, (D,). Parameters of
             effects may be neutral.
-        out: file to write.
-        space: parameters that are model fields.
+        out: file to write; its folder is made.
+        space: parameters that are model fields, and after them those of effects, as a fit has them.
 
     Returns:
         The path of the file.
 
     Raises:
-        BadModel: no such file, or one that MuJoCo cannot compile.
-        BadParameter: the wrong number of values, or one that MJCF cannot hold.
+        BadModel: no such file, one that MuJoCo cannot compile, or one that attaches models whose meshes are not found.
+        BadParameter: the wrong number of values, one with which MuJoCo cannot compile the model (a negative mass), or
+            one that MJCF cannot hold.
         BadEffect: an effect that acts while the simulation runs, which MJCF cannot say; `RandomizedParameters` of
             `nfpde.rl` gives it to a Gymnasium environment.
 
@@ -65,25 +69,54 @@ def export_mjcf(
     spec, nominal = compile_file(path)
     mujoco.mj_setConst(nominal, mujoco.MjData(nominal))
     xi = np.asarray(values, dtype=np.float64)
-    bound = [e.bind(nominal) for e in effects]
-    nbase = 0 if space is None else len(space)
+    base, inside = split_space(space)
+    bound = [e.bind(nominal) for e in [*inside, *effects]]
+    nbase = 0 if base is None else len(base)
     count = nbase + sum(len(e.parameters) for e in bound)
     if xi.shape != (count,) or not np.isfinite(xi).all():
         raise BadParameter(f"export: expected {count} finite values, those of the space first, got {values!r}")
     for e, columns in zip(bound, effect_columns(bound, nbase), strict=True):
         _refuse_hooks(e, xi[columns])
     target = copy.copy(nominal)
-    ModelWriter(nominal, space, bound).write(target, xi)
+    ModelWriter(nominal, base, bound).write(target, xi)
     changed = _changes(nominal, target)
     for field in changed:
         if field in _WRITERS:
             _WRITERS[field](spec, nominal, target)
-    spec.meshdir, spec.texturedir = (str((path.parent / d).resolve()) for d in (spec.meshdir, spec.texturedir))
-    spec.compile()
+    _find_files(spec, path.parent)
+    try:
+        spec.compile()
+    except ValueError as error:
+        raise BadParameter(f"{out}: MuJoCo cannot compile the model with these values: {_line(error)}") from None
     text = spec.to_xml()
     _check(text, out, target, changed)
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, text)
     return out
+
+
+def _find_files(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Say where meshes and textures are, from anywhere; those of attached models, which say it in files of their own.
+
+    Raises:
+        BadModel: a file that is not there, or in several folders.
+    """
+    spec.meshdir, spec.texturedir = (str((folder / d).resolve()) for d in (spec.meshdir, spec.texturedir))
+    kinds = ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir))
+    for asset, place in ((a, place) for assets, place in kinds for a in assets):
+        if not asset.file or (Path(place) / asset.file).is_file():
+            continue
+        found = sorted(folder.rglob(escape(asset.file)))
+        if len(found) != 1:
+            raise BadModel(
+                f"export: {asset.file!r} of {asset.name!r} is in {len(found)} folders below {folder}, and an attached "
+                "model's file does not say here which it is; give it a name of its own, below the model's folder"
+            )
+        asset.file = str(found[0].resolve())
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _refuse_hooks(effect: Effect, values: NDArray[np.float64]) -> None:
@@ -105,9 +138,13 @@ def _check(text: str, out: Path, target: mujoco.MjModel, changed: list[str]) -> 
     """Load what the file is to hold and compare all that was to change.
 
     Raises:
+        BadModel: what MuJoCo itself cannot load.
         BadParameter: a field that did not arrive.
     """
-    found = mujoco.MjModel.from_xml_string(text)
+    try:
+        found = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise BadModel(f"{out}: what MuJoCo writes of this model it cannot read again: {_line(error)}") from None
     mujoco.mj_setConst(found, mujoco.MjData(found))
     wrong = [f for f in changed if not f.startswith(_FOLLOW) and not _close(get_field(target, f), get_field(found, f))]
     if not wrong and not _close(_inertias(target), _inertias(found)):
@@ -156,15 +193,16 @@ def _per_element(field: str, elements: str, attribute: str, first_only: bool = F
 
 def _bodies(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
     fields = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-    scaled = spec.compiler.settotalmass > 0  # to a sum that is no longer right: every body says its own instead
+    # scaled to a sum that is no longer right, or by geoms whatever a body says: then every body says its own
+    every = spec.compiler.settotalmass > 0 or spec.compiler.inertiafromgeom == _ALWAYS
     spec.compiler.settotalmass = -1
     for body in spec.bodies[1:]:
         i = body.id
-        if not scaled and all(np.array_equal(get_field(nominal, f)[i], get_field(target, f)[i]) for f in fields):
+        if not every and all(np.array_equal(get_field(nominal, f)[i], get_field(target, f)[i]) for f in fields):
             continue
         # bodies that say an inertial are to have it, though the file may take all from geoms
         spec.compiler.inertiafromgeom = _AUTO
-        body.explicitinertial = True
+        body.explicitinertial = bool(target.body_mass[i])
         body.mass, body.ipos = float(target.body_mass[i]), target.body_ipos[i]
         body.iquat, body.inertia = target.body_iquat[i], target.body_inertia[i]
         body.fullinertia = np.full(6, np.nan)
