@@ -22,6 +22,10 @@ pub const STORED_PAIRS: usize = 1_100_000;
 const MANY_TO_FEW: usize = 4;
 /// A side with so few points is never halved.
 pub const SMALL_SIDE: usize = 32;
+/// A side with so few points is few beside half its square or more; what paths take grows with its square for every
+/// point of the other, and the whole table is kept, of so many pairs at most.
+const FEW_SIDE: usize = 256;
+const FEW_PAIRS: usize = 1 << 27;
 /// Pairs up to which an assignment starts without potentials.
 pub const COLD_PAIRS: usize = 40_000;
 /// The same for assignments.
@@ -75,7 +79,7 @@ pub fn solve(
     }
     let pairs = rows.len() * cols.len();
     let (few, many) = (rows.len().min(cols.len()), rows.len().max(cols.len()));
-    if few <= SMALL_SIDE && many >= MANY_TO_FEW * few {
+    if many >= MANY_TO_FEW * few && is_few(few, many) {
         return solve_few(cost, rows, cols, few_columns::PATHS_A_NODE, watch);
     }
     if pairs <= DENSE_PAIRS {
@@ -91,6 +95,11 @@ pub fn solve(
     let (some_rows, coarse) = coarse::optimum(cost, (rows, cols), 2, Share::Region, workers, watch)?;
     let minus_v = coarse::extend_to_columns(cost, &some_rows, &coarse.u);
     sparse_transport::solve(cost, rows, cols, &minus_v, workers, watch)
+}
+
+/// Whether paths between the points of the smaller side are the shortest way.
+fn is_few(few: usize, many: usize) -> bool {
+    few <= SMALL_SIDE || (few <= FEW_SIDE && 2 * many >= few * few && few * many <= FEW_PAIRS)
 }
 
 /// Equal numbers of equal masses.

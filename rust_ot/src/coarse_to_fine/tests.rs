@@ -38,3 +38,23 @@ fn the_simplex_takes_over_where_paths_do_not_suffice() {
         }
     }
 }
+
+#[test]
+fn few_are_as_many_as_paths_are_good_for() {
+    assert!(is_few(SMALL_SIDE, 4 * SMALL_SIDE));
+    assert!(is_few(33, 545) && !is_few(33, 544));
+    assert!(is_few(256, 32_768) && !is_few(257, 1 << 18));
+    assert!(!is_few(256, (FEW_PAIRS / 256) + 1));
+    for salt in 0..4 {
+        let (long, short) = (1200, 48);
+        let (costs, rows, cols) = problem(salt, long, short);
+        let matrix = Matrix::new(&costs, short).unwrap();
+        let mut go_on = || true;
+        let mut watch = Watch::new(&mut go_on, u64::MAX);
+        let by_paths = solve_few(&matrix, &rows, &cols, PATHS_A_NODE, &mut watch).unwrap();
+        let by_simplex = solve_table(&matrix, &rows, &cols, &mut watch).unwrap();
+        assert!((total(&by_simplex, &matrix) - total(&by_paths, &matrix)).abs() < 1e-10, "{salt}");
+        let chosen = solve(&matrix, &rows, &cols, &Workers::new(1).unwrap(), &mut watch).unwrap();
+        assert!((total(&chosen, &matrix) - total(&by_paths, &matrix)).abs() < 1e-10, "{salt}");
+    }
+}
