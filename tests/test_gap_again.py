@@ -164,6 +164,7 @@ def test_what_was_tried_first_is_shown_in_the_noise_of_the_end(monkeypatch):
 
     monkeypatch.setattr(part + "in_noise", in_noise)
     found: Any = [SimpleNamespace(effect=FAST)]
+    tried: Any = [("one", "noise 0"), ("other", "noise 0")]
 
     class Quieter(Search):
         def _begun(self, *, early) -> Any:
@@ -177,7 +178,7 @@ def test_what_was_tried_first_is_shown_in_the_noise_of_the_end(monkeypatch):
 
         def _select(self, near, selection, earlier=None, *, further=False) -> Any:
             if not further:
-                selection.ranking[:] = [("one", "noise 0"), ("other", "noise 0")]
+                selection.ranking[:] = tried
             return near, selection, SimpleNamespace(fit=ANYTHING), found * (1 + further)
 
     chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
