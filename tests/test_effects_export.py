@@ -146,22 +146,48 @@ CARRIER = """<mujoco><asset><model name="gripper" file="gripper/gripper.xml"/></
 </mujoco>"""
 
 
-def test_meshes_of_attached_models_are_found(tmp_path):
-    """The file can be read from anywhere; where two folders have a mesh of that name, it does not say which it is."""
+@pytest.mark.parametrize("where", ["gripper", "../gripper"])
+def test_meshes_of_attached_models_are_found(tmp_path, where):
+    """The file can be read from anywhere; MuJoCo itself says of a mesh its name alone."""
     folder = tmp_path / "robot"
-    (folder / "gripper" / "meshes").mkdir(parents=True)
-    (folder / "gripper" / "meshes" / "jaw.obj").write_text(TRIANGLE)
-    (folder / "gripper" / "gripper.xml").write_text(GRIPPER)
-    (folder / "carrier.xml").write_text(CARRIER)
+    folder.mkdir()
+    (folder / where / "meshes").mkdir(parents=True)
+    (folder / where / "meshes" / "jaw.obj").write_text(TRIANGLE)
+    (folder / where / "gripper.xml").write_text(GRIPPER)
+    (folder / "carrier.xml").write_text(CARRIER.replace("gripper/gripper.xml", f"{where}/gripper.xml"))
     greasy = [effect("viscous_damping", "g_opens", damping=(0, 1))]
     out = export_mjcf(folder / "carrier.xml", greasy, [0.3], tmp_path / "new" / "folder" / "greasy.xml")
     model = mujoco.MjModel.from_xml_path(str(out))
     assert model.nmesh == 1
     assert model.dof_damping.tolist() == [0.0, 0.3]
-    (folder / "other").mkdir()
-    (folder / "other" / "jaw.obj").write_text(TRIANGLE)
-    with pytest.raises(BadModel, match=r"'jaw.obj' of 'g_jaw' is in 2 folders"):
-        export_mjcf(folder / "carrier.xml", greasy, [0.3], tmp_path / "greasy.xml")
+
+
+def test_meshes_of_one_name_are_refused(tmp_path):
+    """Of the carrier and of what it carries, and of two that it carries: no other robot is written in silence."""
+    for name, size in (("gripper", 1.0), ("other", 3.0), (".", 5.0)):
+        (tmp_path / name / "meshes").mkdir(parents=True)
+        mesh = TRIANGLE.replace(".1", str(0.1 * size))
+        (tmp_path / name / "meshes" / "jaw.obj").write_text(mesh)
+        (tmp_path / name / "gripper.xml").write_text(GRIPPER)
+    own = CARRIER.replace("<mujoco>", '<mujoco><compiler meshdir="meshes"/>')
+    more = CARRIER.replace("<asset>", '<asset><model name="other" file="other/gripper.xml"/>')
+    more = more.replace("<attach", '<attach model="other" body="jaw" prefix="o_"/><attach')
+    for xml, words in ((own, "has other meshes"), (more, r"'jaw.obj' of '._jaw' is in 2 folders")):
+        (tmp_path / "carrier.xml").write_text(xml)
+        with pytest.raises(BadModel, match=words):
+            export_mjcf(tmp_path / "carrier.xml", [], [], tmp_path / "out.xml")
+        assert not (tmp_path / "out.xml").exists()
+
+
+def test_paths_that_the_file_says_to_strip(tmp_path):
+    """MuJoCo then takes the names alone; where a mesh was once does not matter."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "jaw.obj").write_text(TRIANGLE)
+    for said in ("a/b/jaw.obj", "/nowhere/jaw.obj"):
+        xml = GRIPPER.replace('meshdir="meshes"', 'meshdir="meshes" strippath="true"').replace("jaw.obj", said)
+        (tmp_path / "gripper.xml").write_text(xml)
+        out = export_mjcf(tmp_path / "gripper.xml", [], [], tmp_path / "else" / "where.xml")
+        assert mujoco.MjModel.from_xml_path(str(out)).nmesh == 1
 
 
 def test_values_with_which_nothing_compiles_are_refused(tmp_path):

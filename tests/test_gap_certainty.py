@@ -124,3 +124,26 @@ def test_slopes_are_taken_over_steps_that_their_own_errors_ask_for():
         # of a tanh over .3 standard errors nothing is missing; the scatter is learnt of 4000, and its tails are a guess
         np.testing.assert_allclose(found, exact, rtol=0.1)
         assert fit.fresh == 0
+
+
+class Stairs(Steep):
+    """Steps of a five-hundredth of the bounds: a narrow step sees nothing of the slope that they follow."""
+
+    width = 2e-3
+
+    def residuals(self, xi, windows, horizons, force=None):
+        off = np.stack([self.width * np.round((xi[:, 0] - 0.3) / self.width), xi[:, 1] - 0.3], axis=-1)
+        return np.tile(off[:, None, None], (1, WINDOWS, 1, 1))
+
+
+def test_steps_that_find_no_end_do_not_end_where_nothing_is_seen():
+    """Of widths that lead to each other in turn, those count that tell most."""
+    stairs, fitter, sigma = Stairs(), Fitter(ANYTHING, (1,)), 1e-3
+    scatter = learn_scatter(sigma * np.random.default_rng(0).normal(size=(4000, 1, 2)), 0, 1e-5 * np.ones((1, 2)))
+    start = fitter.start(stairs, np.array([[0.3, 0.3]]), scatter)
+    exact = np.sqrt(WINDOWS) / sigma
+    for believed in (1.0, 1e4, 1e12):
+        fit = fitter.resolved(replace(start, information=believed * np.eye(2)))
+        # a chord that ends on the first stair's edge is twice as steep as the stairs, and none that sees any is flatter
+        ratio = np.sqrt(np.diag(fit.information)) / exact
+        assert ((ratio > 0.9) & (ratio < 2.1)).all()

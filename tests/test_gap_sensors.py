@@ -45,6 +45,25 @@ def test_a_reading_that_never_changes_has_no_grain():
     assert (Encoders.of([data.windows(1).start]).grain(nominal()) == 0).all()
 
 
+def test_an_episode_elsewhere_tells_nothing_of_the_grain():
+    """A joint that is held at another place in one episode; a reading that is off; an encoder that was zeroed anew."""
+    still = np.full((200, 1), 0.328)
+    assert Encoders.of([still, still, still, still + 0.394]).steps.tolist() == [0.0]
+    steps = np.round(np.random.default_rng(0).normal(size=(4, 200, 1)).cumsum(axis=1)) * 1e-3
+    off = steps[1].copy()
+    off[77] += 3e-4
+    found = Encoders.of([steps[0], off, steps[2] + 3.7e-4, steps[3]])
+    assert found.steps == pytest.approx([1e-3], rel=1e-6)
+    assert np.isnan(found.rest).all()
+
+
+def test_short_episodes_tell_the_grain_together():
+    """None shows readings enough by itself."""
+    steps = np.round(2 * np.random.default_rng(0).normal(size=(40, 8, 1))) * 1e-3
+    assert all(Encoders.of([e]).steps[0] == 0 for e in steps)
+    assert Encoders.of(list(steps)).steps == pytest.approx([1e-3], rel=1e-6)
+
+
 def test_noise_at_rest_is_that_of_the_grain():
     """What an encoder is off by at rest is the same in every row; it counts as noise all the same."""
     data = record()

@@ -36,8 +36,9 @@ Array = NDArray[np.float64]
 _Trial = tuple[float, str, Callable[[Windows], Windows]]
 """Error of the nominal model with a mistake undone, the mistake in words, and what undoes it."""
 
-_WINDOWS, _FEW, _GO_ON = 60, 4, 40
-"""Windows that are looked at. Of more mistakes than so many, one of so many windows tells which go on to all."""
+_WINDOWS, _FEW, _GO_ON, _LOOKS, _FEWEST = 60, 4, 40, 20_000, 5
+"""Windows that are looked at. Of more mistakes than `_GO_ON`, one of so many windows tells which go on to all; fewer
+still where that were more than so many looks, but for the fewest that tell anything."""
 
 _DIVERGED = 1e6
 """Error of a window whose simulation diverges."""
@@ -123,7 +124,8 @@ def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Arra
 def _tried(replay: Replay, xi: Array, windows: Windows, mistakes: list[Mistake]) -> list[_Trial]:
     """Errors with each mistake undone; of many only of those that look best on a few of the windows."""
     if len(mistakes) > _GO_ON:
-        few = windows[::_FEW]
+        every = max(_FEW, -(-len(mistakes) * len(windows) // _LOOKS))
+        few = windows[:: max(1, min(every, len(windows) // _FEWEST))]
         first = np.argsort([_error(replay, xi, undo(few)) for _, undo in mistakes], kind="stable")[:_GO_ON]
         mistakes = [mistakes[i] for i in np.sort(first)]
     return [(_error(replay, xi, undo(windows)), text, undo) for text, undo in mistakes]

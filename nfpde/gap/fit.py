@@ -287,15 +287,20 @@ class Fitter:
         """Slopes and information at the fit's place, all over steps that the errors which they tell ask for.
 
         What nobody knows the error of is looked at over the widest step. Beside contacts that is no slope: a floor is
-        known to a tenth of a millimetre, and does something else a hundred times as far away.
+        known to a tenth of a millimetre, and does something else a hundred times as far away. Where steps find no end,
+        as a narrow one sees nothing of what a wide one tells, those count that tell most.
         """
+        turns = list[Fit]()
         for _ in range(_TURNS):
             before = _widths(fit.information)
             fit = self.linearise(replace(fit, fresh=fit.replay.nfree))
             change = np.abs(np.log(_widths(fit.information) / before))
             if (change <= math.log(_AGREE)).all():
-                break
-        return fit
+                return fit
+            turns.append(fit)
+        most = np.argmax([np.diag(turn.information) for turn in turns], axis=0)
+        slopes = np.stack([turns[turn].slopes[i] for i, turn in enumerate(most)])
+        return self.linearise(replace(fit, slopes=slopes, fresh=0))
 
     def _gradient(self, fit: Fit, u: Array) -> Array:
         white = fit.scatter.whiten(fit.residuals)

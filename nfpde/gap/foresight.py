@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.errors import BadDataset
-from nfpde.gap.grain import Encoders
 from nfpde.gap.readings import CURED
 from nfpde.gap.replay import Replay
 
@@ -23,10 +22,10 @@ _MOST, _EACH, _FEWEST = 300, 20, 5
 """Steps that are looked at; for each of the numbers that predict them, where these are many; and for each the fewest
 with which anything is said. Half of the steps are laid aside."""
 
-
-_PARTS, _DRAWS, _SURE = 30, 1000, 0.995
+_PARTS, _DRAWS, _SURE, _MOSTLY = 30, 1000, 0.995, 0.5
 """Parts in succession that rows are drawn in, draws (bootstrap: Efron, Tibshirani, An introduction to the bootstrap,
-1993), and the share of these that must agree: a sound log that is refused helps nobody."""
+1993), the share of these that must agree, and on what: that less than so much is left. A sound log that is refused
+helps nobody."""
 
 
 def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
@@ -53,10 +52,7 @@ def check_commands(replay: Replay, dataset: Dataset, xi: Array) -> None:
     sim = replay.sim
     back = max(_PAST, sim.history_steps(dataset.control_dt))
     known = 1 + dataset.nq + dataset.nv + (1 + _PAST) * dataset.nu
-    every = dataset.windows(2, stride=1)
-    # a step of an encoder that stands for no motion presses feet into floors, which then push by what is commanded
-    sound = np.flatnonzero(~Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset]).flipped(every.start))
-    chosen = sound[_most_commanded(every[sound], max(_MOST, _EACH * known))]
+    chosen = _most_commanded(dataset.windows(2, stride=1), max(_MOST, _EACH * known))
     if len(chosen) < _FEWEST * known:
         return
     windows = dataset.windows(2, stride=1, history=back, past=sim.past_steps(dataset.control_dt), at=chosen)
@@ -96,18 +92,19 @@ def _surely_late(squares: Array) -> bool:
     Args:
         squares: See `_squares`, of all joints (nv, n, 3).
     """
-    if not _late(squares):
+    if not _late(squares, CURED):
         return False
     rng, parts = np.random.default_rng(0), np.array_split(np.arange(squares.shape[1]), _PARTS)
     sums = np.stack([squares[:, part].sum(1) for part in parts], axis=1)
-    late = [_late(sums[:, rng.integers(0, _PARTS, _PARTS)]) for _ in range(_DRAWS)]
+    late = [_late(sums[:, rng.integers(0, _PARTS, _PARTS)], _MOSTLY) for _ in range(_DRAWS)]
     return float(np.mean(late)) >= _SURE
 
 
-def _late(squares: Array) -> bool:
+def _late(squares: Array, share: float) -> bool:
+    """Whether so little is left at one joint, and of all joints together, of which none counts for more than that."""
     least, of_residual = _left(squares)
-    together = np.maximum(of_residual, np.log(CURED)).sum()
-    return bool((least < np.log(CURED)).any() and together <= np.log(CURED))
+    together = np.maximum(of_residual, np.log(share)).sum()
+    return bool((least < np.log(share)).any() and together <= np.log(share))
 
 
 def _left(squares: Array) -> tuple[Array, Array]:

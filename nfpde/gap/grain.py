@@ -20,6 +20,9 @@ _LEAST_STEPS, _OFTEN = 8, 10
 """Steps between neighbouring readings from which a grain is told, at least; fewer will do where rows are so many times
 as many: a robot at rest shows few readings, again and again."""
 
+_ALIKE = 1e-3
+"""Share by which the steps that episodes tell may differ and be one."""
+
 _PARTS, _WHOLE = 3, 1e-2
 """Parts of the shortest step that are tried for the grain, which may never occur alone; how near to a whole number of
 them, in shortest steps, every step is."""
@@ -46,18 +49,13 @@ class Encoders:
             episodes: States of each, (rows, nq+nv).
         """
         read = np.concatenate(episodes)
-        steps = np.array([step_of(column) for column in read.T])
+        steps = np.array([_step([e[:, column] for e in episodes]) for column in range(read.shape[1])])
         rest = np.array([_most_read(column) for column in read.T])
         flips = np.zeros((2, len(steps)))
         for column in np.flatnonzero((steps > 0) & np.isfinite(rest)):
             parts = [np.round((e[:, column] - rest[column]) / steps[column]) for e in episodes]
             flips[:, column] = _flips(parts)
         return cls(steps, rest, flips)
-
-    def flipped(self, read: Array) -> NDArray[np.bool_]:
-        """Which of some recorded states (n, nq+nv) show the next step of any encoder at rest (n,)."""
-        steps = np.abs(read - self.rest) / np.where(self.steps > 0, self.steps, np.inf)
-        return ((steps > 0.5) & (steps < 1.5) & (self.flips.sum(0) > 0)).any(1)
 
     def grain(self, model: mujoco.MjModel) -> Array:
         """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one."""
@@ -91,12 +89,34 @@ def _flips(episodes: Sequence[Array]) -> tuple[float, float]:
     return (float((middle == 1).mean()), float((middle == -1).mean())) if len(middle) else (0.0, 0.0)
 
 
+def _step(episodes: Sequence[Array]) -> float:
+    """What the readings of a column are multiples of, in most episodes, give or take a constant of each.
+
+    Each counts for as many readings as it shows: one joint held at two places shows no step of its encoder, and one
+    reading that is off, or an encoder that was zeroed anew, is no word on all others.
+    """
+    told = [(step_of(values), len(np.unique(values))) for values in episodes]
+    votes = [(step, sum(n for other, n in told if abs(other - step) < _ALIKE * step)) for step, _ in told if step > 0]
+    if votes:
+        return max(votes, key=lambda vote: (vote[1], -vote[0]))[0]
+    return _whole_of(np.concatenate([_differences(values) for values in episodes]), sum(map(len, episodes)))
+
+
 def step_of(values: Array) -> float:
     """What values (n,) are multiples of, give or take a constant; zero if nothing."""
+    return _whole_of(_differences(values), len(values))
+
+
+def _differences(values: Array) -> Array:
+    """Between neighbouring ones of all different readings, without rounding."""
     readings = np.unique(values)
     steps = np.diff(readings)
-    steps = steps[steps > _SAME * (readings[-1:] - readings[:1])]
-    if not len(steps) or _LEAST_STEPS > len(steps) >= len(values) / _OFTEN:
+    return steps[steps > _SAME * (readings[-1:] - readings[:1])]
+
+
+def _whole_of(steps: Array, rows: int) -> float:
+    """What differences (n,) of the readings in so many rows are multiples of; zero if nothing."""
+    if not len(steps) or _LEAST_STEPS > len(steps) >= rows / _OFTEN:
         return 0.0
     shortest = float(steps.min())
     for part in range(1, _PARTS + 1):

@@ -62,14 +62,19 @@ def flips_and_swaps(joints: list[Joint]) -> list[Mistake]:
     flips: list[Mistake] = [
         (f"{j.name}'s sign looks flipped{of}", partial(_flipped, joint=j, states=states, commands=commands))
         for j in joints
-        for of, states, commands in _PARTS
+        for of, states, commands in _parts(bool(j.ctrls))
     ]
     swaps: list[Mistake] = [
         (f"{a.name} and {b.name} look swapped{of}", partial(_swapped, a=a, b=b, states=states, commands=commands))
         for a, b in combinations(joints, 2)
-        for of, states, commands in _PARTS
+        for of, states, commands in _parts(len(a.ctrls) == len(b.ctrls) > 0)
     ]
     return [*flips, *swaps]
+
+
+def _parts(commanded: bool) -> tuple[tuple[str, bool, bool], ...]:
+    """What may be flipped or swapped; where there are no commands to change, states alone."""
+    return _PARTS if commanded else _PARTS[:1]
 
 
 def in_other_units() -> list[Mistake]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from glob import escape
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -56,7 +56,7 @@ def export_mjcf(
         The path of the file.
 
     Raises:
-        BadModel: no such file, one that MuJoCo cannot compile, or one that attaches models whose meshes are not found.
+        BadModel: no such file, one that MuJoCo cannot compile, or one that attaches models with meshes of one name.
         BadParameter: the wrong number of values, one with which MuJoCo cannot compile the model (a negative mass), or
             one that MJCF cannot hold.
         BadEffect: an effect that acts while the simulation runs, which MJCF cannot say; `RandomizedParameters` of
@@ -83,7 +83,7 @@ def export_mjcf(
     for field in changed:
         if field in _WRITERS:
             _WRITERS[field](spec, nominal, target)
-    _find_files(spec, path.parent)
+    _find_files(spec, path)
     try:
         spec.compile()
     except ValueError as error:
@@ -95,24 +95,56 @@ def export_mjcf(
     return out
 
 
-def _find_files(spec: mujoco.MjSpec, folder: Path) -> None:
+def _find_files(spec: mujoco.MjSpec, path: Path) -> None:
     """Say where meshes and textures are, from anywhere; those of attached models, which say it in files of their own.
 
     Raises:
-        BadModel: a file that is not there, or in several folders.
+        BadModel: a file of that name in the folders of several attached models.
     """
-    spec.meshdir, spec.texturedir = (str((folder / d).resolve()) for d in (spec.meshdir, spec.texturedir))
-    kinds = ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir))
-    for asset, place in ((a, place) for assets, place in kinds for a in assets):
-        if not asset.file or (Path(place) / asset.file).is_file():
-            continue
-        found = sorted(folder.rglob(escape(asset.file)))
-        if len(found) != 1:
-            raise BadModel(
-                f"export: {asset.file!r} of {asset.name!r} is in {len(found)} folders below {folder}, and an attached "
-                "model's file does not say here which it is; give it a name of its own, below the model's folder"
-            )
-        asset.file = str(found[0].resolve())
+    own = tuple(str((path.parent / d).resolve()) for d in (spec.meshdir, spec.texturedir))
+    spec.meshdir, spec.texturedir = own
+    attached = [folders for file in _attached(path) for folders in [_asset_folders(file)]]
+    for kind, assets in ((0, spec.meshes), (0, spec.hfields), (1, spec.textures)):
+        for asset in assets:
+            name = Path(asset.file).name if spec.strippath else asset.file
+            if not asset.file or (Path(own[kind]) / name).is_file():
+                continue
+            found = {p.resolve() for folders in attached if (p := folders[kind] / name).is_file()}
+            if len(found) > 1:
+                raise BadModel(
+                    f"export: {asset.file!r} of {asset.name!r} is in {len(found)} folders of attached models, and "
+                    "MuJoCo does not say which of them it is of; give each file a name of its own"
+                )
+            for file in found:
+                asset.file = str(file)
+
+
+def _attached(path: Path) -> list[Path]:
+    """Files of the models that a model attaches, and that these attach."""
+    found = list[Path]()
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        for element in _elements(file, "model"):
+            other = file.parent / element.get("file", "")
+            if other.is_file() and other not in found:
+                found.append(other)
+                waiting.append(other)
+    return found
+
+
+def _asset_folders(path: Path) -> tuple[Path, Path]:
+    """Where an MJCF file has its meshes, and its textures."""
+    said = {name: value for element in _elements(path, "compiler") for name, value in element.items()}
+    both = said.get("assetdir", "")
+    return path.parent / said.get("meshdir", both), path.parent / said.get("texturedir", both)
+
+
+def _elements(path: Path, name: str) -> list[ElementTree.Element]:
+    try:
+        return list(ElementTree.parse(path).iter(name))
+    except ElementTree.ParseError:  # MuJoCo takes some files that are no XML, such as its binary ones
+        return []
 
 
 def _line(error: Exception) -> str:
@@ -138,7 +170,7 @@ def _check(text: str, out: Path, target: mujoco.MjModel, changed: list[str]) -> 
     """Load what the file is to hold and compare all that was to change.
 
     Raises:
-        BadModel: what MuJoCo itself cannot load.
+        BadModel: what MuJoCo itself cannot load, or loads with other meshes.
         BadParameter: a field that did not arrive.
     """
     try:
@@ -149,6 +181,11 @@ def _check(text: str, out: Path, target: mujoco.MjModel, changed: list[str]) -> 
     wrong = [f for f in changed if not f.startswith(_FOLLOW) and not _close(get_field(target, f), get_field(found, f))]
     if not wrong and not _close(_inertias(target), _inertias(found)):
         wrong = ["body_inertia"]
+    if not _close(target.mesh_vert, found.mesh_vert):
+        raise BadModel(
+            f"{out}: what MuJoCo writes of this model has other meshes; where attached models have files of the same "
+            "name, give each a name of its own"
+        )
     if wrong:
         raise BadParameter(f"{out}: an MJCF file made from this model cannot hold the changed field {wrong[0]}")
 

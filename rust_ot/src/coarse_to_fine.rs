@@ -25,7 +25,7 @@ pub const SMALL_SIDE: usize = 32;
 /// A side with so few points is few beside half its square or more; what paths take grows with its square for every
 /// point of the other, and the whole table is kept, of so many pairs at most.
 const FEW_SIDE: usize = 256;
-const FEW_PAIRS: usize = 1 << 27;
+const FEW_PAIRS: usize = 1 << 26;
 /// Pairs up to which an assignment starts without potentials.
 pub const COLD_PAIRS: usize = 40_000;
 /// The same for assignments.
@@ -79,7 +79,7 @@ pub fn solve(
     }
     let pairs = rows.len() * cols.len();
     let (few, many) = (rows.len().min(cols.len()), rows.len().max(cols.len()));
-    if many >= MANY_TO_FEW * few && is_few(few, many) {
+    if many >= MANY_TO_FEW * few && (few <= SMALL_SIDE || (!cost.is_stored() && is_few(few, many))) {
         return solve_few(cost, rows, cols, few_columns::PATHS_A_NODE, watch);
     }
     if pairs <= DENSE_PAIRS {
@@ -97,9 +97,9 @@ pub fn solve(
     sparse_transport::solve(cost, rows, cols, &minus_v, workers, watch)
 }
 
-/// Whether paths between the points of the smaller side are the shortest way.
+/// Whether paths between the points of the smaller side are the shortest way, where costs are those of distances.
 fn is_few(few: usize, many: usize) -> bool {
-    few <= SMALL_SIDE || (few <= FEW_SIDE && 2 * many >= few * few && few * many <= FEW_PAIRS)
+    few <= FEW_SIDE && 2 * many >= few * few && few * many <= FEW_PAIRS
 }
 
 /// Equal numbers of equal masses.
@@ -171,6 +171,7 @@ fn solve_few(
     let (long, short) = if upright { (rows, cols) } else { (cols, rows) };
     let columns = Columns { costs: &costs, rows: long.len() };
     let Some(found) = few_columns::solve(columns, long, short, paths_a_node, watch)? else {
+        drop(costs);
         return solve_table(cost, rows, cols, watch);
     };
     let few_columns::Optimum { mut arcs, u, v } = found;

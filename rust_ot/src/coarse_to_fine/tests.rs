@@ -41,7 +41,6 @@ fn the_simplex_takes_over_where_paths_do_not_suffice() {
 
 #[test]
 fn few_are_as_many_as_paths_are_good_for() {
-    assert!(is_few(SMALL_SIDE, 4 * SMALL_SIDE));
     assert!(is_few(33, 545) && !is_few(33, 544));
     assert!(is_few(256, 32_768) && !is_few(257, 1 << 18));
     assert!(!is_few(256, (FEW_PAIRS / 256) + 1));
