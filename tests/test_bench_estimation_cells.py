@@ -220,6 +220,42 @@ def test_calibration_goes_on(tmp_path, monkeypatch):
     assert "- pendulum, body_mass:pendulum, 90 %: 0%; errors are 2.00 ± 0.58 posterior standard deviations" in page
 
 
+def test_calibration_with_other_settings_is_measured_anew(tmp_path, monkeypatch):
+    """Problems of other settings never end up in one table, finished or not; more problems keep those there are."""
+    measured = []
+
+    def problem(name, anew, settings, index, device):
+        measured.append((anew, index, settings.samples))
+        if len(measured) == stop:
+            raise KeyboardInterrupt
+        figures = dict.fromkeys(("noise", "transitions", "modes", "million_steps", "seconds"), 1.0)
+        return figures | {"rank": [3, 4], "true": [1.0, 1.0], "mean": [1.0, 1.0], "std": [1.0, 1.0]}
+
+    monkeypatch.setattr(calibration, "problem", problem)
+    stop = 0
+    assert estimation.calibrate(tmp_path, quick=True)
+    first = [(anew, i, calibration.QUICK.samples) for anew in (False, True) for i in range(calibration.QUICK_PROBLEMS)]
+    assert measured == first
+    monkeypatch.setattr(calibration, "QUICK_PROBLEMS", calibration.QUICK_PROBLEMS + 1)
+    measured.clear()
+    assert estimation.calibrate(tmp_path, quick=True)
+    assert [index for _, index, _ in measured] == [3, 3]
+    monkeypatch.setattr(calibration, "QUICK", replace(calibration.QUICK, samples=29))
+    stop = 3
+    measured.clear()
+    with pytest.raises(KeyboardInterrupt):
+        estimation.calibrate(tmp_path, quick=True)
+    assert measured == [(False, 0, 29), (False, 1, 29), (False, 2, 29)]
+    # what was finished with 29 samples is not counted among problems of 39, though it is on disk
+    monkeypatch.setattr(calibration, "QUICK", replace(calibration.QUICK, samples=39))
+    stop = 0
+    measured.clear()
+    assert estimation.calibrate(tmp_path, quick=True)
+    assert measured == [(anew, i, 39) for anew in (False, True) for i in range(4)]
+    content = json.loads((tmp_path / "calibration_quick" / "pendulum.json").read_text())
+    assert {stage["settings"]["settings"]["samples"] for stage in content["stages"].values()} == {39}
+
+
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [

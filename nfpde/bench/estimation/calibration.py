@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -100,27 +101,21 @@ def _robot(
 ) -> bool:
     """All problems of one kind that are not finished yet, and their picture; whether none is left."""
     parameters = robot(name).space.names
-    facts = {
-        "robot": name,
-        "anew": anew,
-        "problems": count,
-        "episodes": EPISODES.get(name, DEFAULT_EPISODES),
-        "settings": asdict(settings),
-        **facts_of_device(robot(name), device),
-    }
+    same = json.loads(json.dumps({"episodes": EPISODES.get(name, DEFAULT_EPISODES), "settings": asdict(settings)}))
+    facts = {"robot": name, "anew": anew, "problems": count, **same, **facts_of_device(robot(name), device)}
     stem = f"{name}_anew" if anew else name
-    stages = Stages(folder, stem, facts, budget)
+    stages = _stages(folder, stem, facts, budget, same)
     before = max((int(i) + 1 for i in stages.done), default=0)
     if before > count:
         # finished problems cost hours: fewer asked for are no reason to drop them
         count = before
-        stages = Stages(folder, stem, {**facts, "problems": count}, budget)
+        stages = _stages(folder, stem, {**facts, "problems": count}, budget, same)
     if stages.finished() is not None:
         return True
     complete = True
     try:
         for i in range(count):
-            stages(f"{i}", partial(problem, name, anew, settings, i, device))
+            stages(f"{i}", partial(problem, name, anew, settings, i, device), same)
         stages.finish()
     except OutOfTime:
         complete = False
@@ -130,6 +125,13 @@ def _robot(
         title = f"{stages.path.stem}, {len(ranks)} problems"
         draw_ranks(ranks, settings.samples, parameters, title, stages.path.with_suffix(".png"))
     return complete
+
+
+def _stages(folder: Path, stem: str, facts: dict[str, Any], budget: Budget, same: dict[str, Any]) -> Stages:
+    """What is finished, but for problems of other settings: ranks of both have no place in one table."""
+    stages = Stages(folder, stem, facts, budget)
+    stages.done = {index: stage for index, stage in stages.done.items() if stage["settings"] == same}
+    return stages
 
 
 def problem(name: str, anew: bool, settings: CalibrationSettings, index: int, device: Device = "cpu") -> dict[str, Any]:
