@@ -14,7 +14,7 @@ from nfpde.bench.gap.draw import Hidden, draw_system, entry
 from nfpde.bench.gap.excite import SIGNALS, controller
 from nfpde.bench.gap.nominal import nominal_model
 from nfpde.bench.gap.pilot import pilot_of
-from nfpde.bench.gap.plant import Plant
+from nfpde.bench.gap.plant import ALONE, Plant
 from nfpde.bench.gap.record import Noise, episode, start_of
 from nfpde.bench.gap.robots import ROBOTS
 from nfpde.bench.gap.store import read_key, write_key, write_public
@@ -252,8 +252,8 @@ def test_physics_that_blows_up_is_noticed():
     assert not episode(plant, robot, start_of(robot, plant.model, rng), control, 50, quiet, 0).stable
 
 
-def test_base_constants_scale_a_body_as_a_whole():
-    """Half the mass is half the inertia, and the damping is the one given."""
+def test_base_constants_scale_a_body_as_a_whole_or_its_mass_alone():
+    """Half the mass is half the inertia where it follows, and the damping is the one given."""
     robot = ROBOTS["pendulum2"]
     xml = robot.path.read_text()
     sound = Plant(xml, robot.control_dt).model
@@ -262,5 +262,8 @@ def test_base_constants_scale_a_body_as_a_whole():
     other = Plant(xml, robot.control_dt, base).model
     np.testing.assert_allclose(other.body_inertia[body], sound.body_inertia[body] / 2)
     assert other.dof_damping[1] == 0.5
-    with pytest.raises(ValueError, match="body_mass and dof_damping"):
+    loaded = Plant(xml, robot.control_dt, {(ALONE, "lower"): sound.body_mass[body] / 2}).model
+    assert loaded.body_mass[body] == sound.body_mass[body] / 2
+    np.testing.assert_array_equal(loaded.body_inertia[body], sound.body_inertia[body])
+    with pytest.raises(ValueError, match="body_mass alone and dof_damping"):
         Plant(xml, robot.control_dt, {("jnt_range", "elbow"): 1.0})

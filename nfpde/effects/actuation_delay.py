@@ -27,8 +27,8 @@ class ActuationDelay(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """Up to a tenth of a second or five control steps, on one actuator or all."""
-        return {"delay": (0.0, min(1.0, max(0.1, 5 * scales.control_dt)))}
+        """Up to 0.3 seconds (hobby servos on a bus take 0.1) or five control steps, on one actuator or all."""
+        return {"delay": (0.0, min(1.0, max(0.3, 5 * scales.control_dt)))}
 
     def memory_time(self) -> float:
         """The longest delay [s]."""

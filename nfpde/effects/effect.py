@@ -103,8 +103,8 @@ class Effect:
     default_bounds: ClassVar[dict[str, tuple[float, float]]] = {}
     step_fields: ClassVar[tuple[str, ...]] = ()
     """mjModel fields that `step` writes."""
-    writes_last: ClassVar[bool] = False
-    """Whether `write_model` builds on fields that other effects change, and so runs after theirs."""
+    write_order: ClassVar[int] = 0
+    """`write_model` of lower ones runs first: what builds on fields that others change is 1."""
     sentence: ClassVar[str]
     """What it is, for a roboticist."""
     confounders: ClassVar[tuple[str, ...]] = ()

@@ -21,7 +21,7 @@ class FluidDrag(Effect):
         Quantity("density", "kg/m3", 0.0, 2000.0, neutral=0.0),
         Quantity("viscosity", "Pa s", 0.0, math.inf, neutral=0.0),
     )
-    writes_last = True  # added to the air that a wind puts into a model without a medium
+    write_order = 1  # added to the air that a wind puts into a model without a medium
     sentence = "The medium around the robot resists its motion, with the square of the speed and in proportion to it."
     confounders = ("viscous_damping", "wind")
 

@@ -24,7 +24,7 @@ class JointOffset(Effect):
     name = "joint_offset"
     kind = "joint"
     quantities = (Quantity("offset", "rad", -math.inf, math.inf, neutral=0.0),)
-    writes_last = True  # a servo's gain times its reading
+    write_order = 1  # a servo's gain times its reading
     sentence = "The zero of the joint's encoder is off: the recorded position is the true one plus a constant."
     confounders = ("gravity_tilt", "actuator_bias", "com_shift", "joint_spring")
 

@@ -26,7 +26,7 @@ class SensorScale(Effect):
     kind = "joint"
     quantities = (Quantity("scale", "-", 1e-3, 1e3, neutral=1.0, log=True),)
     default_bounds: ClassVar[Bounds] = {"scale": (0.6, 1.7)}
-    writes_last = True  # a servo's gain times its reading
+    write_order = 1  # a servo's gain times its reading
     sentence = "The joint's sensor reports a fixed multiple of the motion: a wrong gear ratio or calibration."
     confounders = ("motor_strength", "time_scale", "joint_offset")
 

@@ -17,6 +17,7 @@ from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
+from nfpde.gap.inertia import follows
 from nfpde.gap.leftover import describe, leftover
 from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, rare, shrink_interval
 from nfpde.gap.loud import noise_residuals
@@ -224,8 +225,10 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     reads = _reads(model, outcome.error)
-    names = [p.name for p in final.fit.replay.parameters[: final.fit.replay.nbase]]
-    parameters = _fitted(final.fit, outcome.errors, slice(0, len(names)), names)
+    free = final.fit.replay.parameters[: final.fit.replay.nbase]
+    parameters = _fitted(final.fit, outcome.errors, slice(0, len(free)), [p.name for p in free])
+    for p in filter(follows, free):  # either end is as sound as what lies between
+        parameters[p.name] = replace(parameters[p.name], at_bound=False)
     apart, ahead = outcome.distance(), recordings.horizons[-1] * outcome.dataset.control_dt
     for replay in {id(t.fit.replay): t.fit.replay for t in (base, final, *outcome.without)}.values():
         selection.steps += replay.sim.simulated_steps

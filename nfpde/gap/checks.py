@@ -30,7 +30,6 @@ from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
 from nfpde.gap.readings import CURED, Readings, check_columns, differenced
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
-from nfpde.parameters import ParameterSpace
 
 Array = NDArray[np.float64]
 _Trial = tuple[float, str, Callable[[Windows], Windows]]
@@ -220,8 +219,7 @@ def _check_contacts(replay: Replay, xi: Array, windows: Windows, error: float) -
     pairs = always_touching(model, windows.state[:, 0, : model.nq])
     if not pairs:
         return
-    space = ParameterSpace(replay.parameters) if replay.parameters else None
-    apart = _error(Replay(without_contacts(model, pairs), space, []), xi, windows)
+    apart = _error(Replay(without_contacts(model, pairs), replay.space, []), xi, windows)
     if apart < CURED * error:
         raise BadDataset(
             f"the recordings do not fit the model: in every recorded pose its geoms overlap, and their contact drives "

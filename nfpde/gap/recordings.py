@@ -33,6 +33,9 @@ LEAST_USED = 80
 BLOCK = 5
 """Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other."""
 
+LEAD = 0.5
+"""Time [s] left out there at most, or 25 control steps, if they are longer: recordings are too short to spare more."""
+
 MOST_LEFT_OUT = 0.2
 """Share of the windows that may be left out at the beginnings of episodes."""
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.effects import Effect, Quantity, World
 from nfpde.effects.effect import overrides
+from nfpde.gap.inertia import inertia_of
 from nfpde.gap.recall import Recall
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, MujocoSimulator, make_simulator
@@ -52,13 +53,15 @@ class Replay:
 
     Args:
         model: The nominal model.
-        space: The free base parameters; None: there are none.
+        space: The free parameters; None: there are none. Where masses are among them, one more is free: how far the
+            bodies' inertias follow (`Inertia`).
         effects: The effects.
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
         recall: What replays of the same model and space have predicted; None: this one's alone.
 
     Attributes:
+        space: the free parameters as given.
         low, high: bounds of the free parameters: base parameters first, then those of the effects (D,).
         nbase: number of base parameters.
         effects: the effects.
@@ -75,11 +78,13 @@ class Replay:
     ) -> None:
         self.effects = tuple(effects)
         self._recall = Recall() if recall is None else recall
-        self.sim = make_simulator(model, space, [*effects, residual_force(model)], device=device, check_influence=False)
+        self.space, beside = space, inertia_of(model, space)
+        acting = [*beside, *effects, residual_force(model)]
+        self.sim = make_simulator(model, space, acting, device=device, check_influence=False)
         if isinstance(self.sim, MujocoSimulator) and nthread:
             self.sim.nthread = nthread
         self.nv = model.nv
-        self.nbase = 0 if space is None else len(space)
+        self.nbase = (0 if space is None else len(space)) + sum(len(e.parameters) for e in beside)
         self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]
         self.parameters = list(self.sim.space)[: -self.nv]
 

@@ -16,7 +16,7 @@ from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
 from nfpde.gap.halves import HeldOut, alike_halves
-from nfpde.gap.recordings import WINDOW_TIME, Recordings, cut_recordings, joined
+from nfpde.gap.recordings import LEAD, WINDOW_TIME, Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
@@ -379,7 +379,7 @@ class Search:
         if longest <= 0:
             return recall, recall, 0
         history = _steps(known.memory_time + sum(times), dt) + 2 + recall
-        return history, min(history, recall + round(WINDOW_TIME / dt)), _steps(longest, dt)
+        return history, min(history, recall + round(WINDOW_TIME / dt)), _steps(min(longest, max(LEAD, 25 * dt)), dt)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from nfpde.gap.inertia import NAME
 from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
 
 WHEN = {
@@ -20,6 +21,9 @@ WHEN = {
     "late": "late in the recordings",
 }
 """What regimes are, in a sentence."""
+
+_HALFWAY = 0.5
+"""Share to which the inertia of a body may follow its mass, at most, for that to be worth a word."""
 
 _CLOSE = 0.1
 """Share of the gap that an effect which was not proven must take away to be worth a word."""
@@ -73,6 +77,12 @@ def summary(
         f"{name} leans on the end of its bounds ({value.value:.4g} {value.unit}): widen them, or doubt the model there."
         for name, value in base.items()
         if value.at_bound
+    ]
+    lines += [
+        f"The inertia of {name.partition(':')[2]} does not follow the mass ({value.low:.2g} to {value.high:.2g} of the "
+        "way): for a fit, set scale_inertia = false in the parameters' file."
+        for name, value in base.items()
+        if name.startswith(NAME) and value.high < _HALFWAY
     ]
     if verdict == "unexplained" and force is not None:
         free = f"A free force on {force.joint} of position, speed, command and time would take away"

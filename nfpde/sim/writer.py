@@ -81,7 +81,7 @@ class ModelWriter:
             refuse_impossible(m, slots)
         columns = zip(effects, effect_columns(effects, self.nbase), strict=True)
         writing = [(e, c) for e, c in columns if overrides(e, "write_model")]
-        self._effects = sorted(writing, key=lambda pair: pair[0].writes_last)
+        self._effects = sorted(writing, key=lambda pair: pair[0].write_order)
         self._scratch = _Scratch(copy.copy(self.nominal))
         everything = [*(space or ()), *(p for e in effects for p in e.parameters)]
         low, high = (np.array([getattr(p, side) for p in everything]) for side in ("low", "high"))

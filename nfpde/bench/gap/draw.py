@@ -111,7 +111,7 @@ def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System |
     places = [entry(effect).places(blank.model, robot) for effect in effects]
     targets = [str(rng.choice(where)) for where in places]
     free = _free(blank, effects, targets, rng)
-    base = {(f.field, f.element): f.true for f in free}
+    base = {f.constant: f.true for f in free}
     sound = Plant(xml, robot.control_dt, base)
     seed = int(rng.integers(2**31))
     quiet = Noise(np.zeros(sound.model.nv), np.zeros(sound.model.nv))

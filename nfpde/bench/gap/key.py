@@ -63,7 +63,7 @@ def measure(
     `visible` says for each true value what a change by a tenth of its scale does, in the same unit, that neither the
     free constants nor the other true values could do as well.
     """
-    base = {(f.field, f.element): f.true for f in free}
+    base = {f.constant: f.true for f in free}
     at = sizes.windows(runs, WINDOWS, rng)
     nominal, sound = Plant(xml, robot.control_dt), Plant(xml, robot.control_dt, base)
     floor, spread = sizes.floor_of(truth, at)
@@ -130,7 +130,7 @@ def _answers(
         return
     reference = sizes.predict(Plant(xml, robot.control_dt, base), at, sizes.from_clean, clean=True)
     for f in free:
-        moved = {**base, (f.field, f.element): f.true * 1.02}
+        moved = {**base, f.constant: f.true * 1.02}
         yield sizes.predict(Plant(xml, robot.control_dt, moved), at, sizes.from_clean, clean=True) - reference
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from nfpde.bench.gap.plant import ALONE
 from nfpde.bench.gap.robots import Robot
 from nfpde.parameters import Parameter, ParameterSpace
 
@@ -23,6 +24,7 @@ class Free:
         high: upper bound.
         nominal: the model's value.
         true: the robot's value.
+        follows: whether a body's inertia is off by the same factor as its mass; else it is the model's.
     """
 
     field: str
@@ -31,6 +33,12 @@ class Free:
     high: float
     nominal: float
     true: float
+    follows: bool = True
+
+    @property
+    def constant(self) -> tuple[str, str]:
+        """What `Plant` calls it."""
+        return self.field if self.follows else ALONE, self.element
 
 
 def nominal_model(robot: Robot, rng: np.random.Generator) -> str:
@@ -49,7 +57,11 @@ def nominal_model(robot: Robot, rng: np.random.Generator) -> str:
 
 
 def free_constants(model: mujoco.MjModel, rng: np.random.Generator) -> list[Free]:
-    """Two to five masses and dampings that are up to 30 % and 50 % off, with bounds that hold the truth."""
+    """Two to five masses and dampings that are up to 30 % and 50 % off, with bounds that hold the truth.
+
+    In one robot of two the inertias follow the masses, as with other wood; in the others a load sits in the centres.
+    """
+    follows = bool(rng.spawn(1)[0].random() < 0.5)
     masses = [("body_mass", model.body(b).name, float(model.body_mass[b])) for b in range(1, model.nbody)]
     dampings = [
         ("dof_damping", model.joint(j).name, float(model.dof_damping[model.jnt_dofadr[j]]))
@@ -62,7 +74,8 @@ def free_constants(model: mujoco.MjModel, rng: np.random.Generator) -> list[Free
         off = 0.3 if field == "body_mass" else 0.5
         true = value * float(rng.uniform(1 - off, 1 + off))
         low, high = value * (1 - off) * float(rng.uniform(0.7, 0.95)), value * (1 + off) * float(rng.uniform(1.05, 1.4))
-        found.append(Free(field, element, float(f"{low:.3g}"), float(f"{high:.3g}"), value, true))
+        alone = field == "body_mass" and not follows
+        found.append(Free(field, element, float(f"{low:.3g}"), float(f"{high:.3g}"), value, true, not alone))
     return found
 
 

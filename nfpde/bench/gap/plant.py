@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 Base = Mapping[tuple[str, str], float]
 """Constants of the robot that differ from the model file: (field, element) to value."""
 
+ALONE = "body_mass alone"
+"""The field of a mass whose body keeps its inertia."""
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -38,7 +41,8 @@ class Plant:
     Args:
         xml: the model as its user knows it.
         control_dt: time between two commands [s].
-        base: true constants where they differ from the model's: `body_mass` (with the inertia) and `dof_damping`.
+        base: true constants where they differ from the model's: `body_mass` (with the inertia), `ALONE` (without) and
+            `dof_damping`.
         faults: faults, in the order in which they touch commands and readings.
     """
 
@@ -122,13 +126,14 @@ class Plant:
 
 
 def set_base(model: mujoco.MjModel, base: Base) -> None:
-    """Write true constants into a compiled model; a body's inertia keeps its ratio to the mass."""
+    """Write true constants into a compiled model."""
     for (field, name), value in base.items():
-        if field == "body_mass":
+        if field in ("body_mass", ALONE):
             body = model.body(name).id
-            model.body_inertia[body] *= value / model.body_mass[body]
+            if field == "body_mass":
+                model.body_inertia[body] *= value / model.body_mass[body]
             model.body_mass[body] = value
         elif field == "dof_damping":
             model.dof_damping[model.joint(name).dofadr[0]] = value
         else:
-            raise ValueError(f"no rule for the constant {field!r}; known are body_mass and dof_damping")
+            raise ValueError(f"no rule for the constant {field!r}; known are body_mass, {ALONE} and dof_damping")

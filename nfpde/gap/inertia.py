@@ -1,0 +1,63 @@
+"""Whether the inertia of a body whose mass is free follows the mass: recordings are asked, nobody knows beforehand."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.effect import Array, Effect, Quantity
+from nfpde.elements import element_names
+from nfpde.parameters import Parameter, ParameterSpace
+from nfpde.sim.slots import slots_of
+
+NAME = "inertia.follows_mass"
+"""How the parameter is called, before the bodies."""
+
+
+class Inertia(Effect):
+    """The inertia of bodies with a free mass, which follows the mass in part: nominal (mass / nominal mass)^share.
+
+    With a share of 1 the density of the body is another (the default of `Parameter.scale_inertia`), with 0 a load sits
+    in its centre. A body of which either is wrongly assumed asks for a `payload` that is not there. No effect of the
+    library: it stands beside the free parameters of every diagnosis, as one more that nobody knows.
+    """
+
+    name = "inertia"
+    kind = "body"
+    quantities = (Quantity("follows_mass", "-", 0.0, 1.0, neutral=1.0),)
+    default_bounds = {"follows_mass": (0.0, 1.0)}  # noqa: RUF012
+    write_order = -1  # what loads add to a body is none of its own
+    sentence = "The body's inertia differs from the model's by less than its mass does."
+
+    mass: Array
+    """Of the bodies in the nominal model (n,)."""
+    inertia: Array
+    """The same (n, 3)."""
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`."""
+        bound = super().bind(model)
+        bound.mass, bound.inertia = model.body_mass[bound.ids].copy(), model.body_inertia[bound.ids].copy()
+        return bound
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Let the inertia follow in part, where a mass that is written took it along."""
+        ratio = model.body_mass[self.ids] / self.mass
+        model.body_inertia[self.ids] = self.inertia * (ratio ** float(values[0]))[:, None]
+
+
+def inertia_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Effect]:
+    """The effect on all bodies whose masses are free and scale their inertias; none where there are no such bodies."""
+    masses = [p for p in space or () if p.field == "body_mass" and p.scale_inertia]
+    if not masses:
+        return []
+    bodies = np.concatenate([np.atleast_1d(slot.index[0]) for slot in slots_of(model, masses)])
+    names = element_names(model, "body")
+    return [Inertia(tuple(names[b] for b in np.unique(bodies)))]
+
+
+def follows(parameter: Parameter) -> bool:
+    """Whether a parameter of a replay is the one of `Inertia`."""
+    return parameter.field == NAME
