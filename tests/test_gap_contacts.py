@@ -146,7 +146,7 @@ def test_what_a_wrong_floor_made_look_like_noise_is_asked_about():
 
 def test_coordinates_of_free_parameters():
     """There and back again; a sign is kept, a factor is a step, a quarter of other bounds is one."""
-    space = ParameterSpace([Parameter("body_mass", "ball", 0.5, 2.5)])
+    space = ParameterSpace([Parameter("body_mass", "ball", 0.5, 2.5, scale_inertia=False)])
     effects = [effect("ground_height", height=(-0.1, 0.1)), effect("ground_friction", sliding=(0.05, 3.0))]
     chart = Chart(Replay(mujoco.MjModel.from_xml_string(BALL), space, effects))
     xi = np.array([[0.5, -0.1, 0.05], [1.0, -0.002, 0.3], [1.5, 0.0, 0.3 * np.e], [2.5, 0.1, 3.0]])
@@ -277,7 +277,7 @@ def test_parameters_are_fitted_to_the_end_before_anything_is_blamed():
     """Without noise mass and friction are exact, and leave less than the floor: no candidate finishes their work."""
     recordings = brief(cut_recordings(pushes(0.3, noise=0.0), 0, 0, 120))[0]
     mass, friction = (
-        Parameter("body_mass", "block", low=0.3, high=4.0),
+        Parameter("body_mass", "block", low=0.3, high=4.0, scale_inertia=False),
         Parameter("geom_friction", "*", low=0.1, high=1.0),
     )
     start = Replay(mujoco.MjModel.from_xml_string(BLOCK), ParameterSpace([mass, friction]), [])

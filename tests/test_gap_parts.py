@@ -152,7 +152,7 @@ def test_too_little_data_is_refused():
 
 def test_screening_is_a_projection_on_what_parameters_cannot_do():
     """The explained share equals least squares with the change and the slopes together, less the slopes alone."""
-    space = ParameterSpace([Parameter("body_mass", "fore", low=0.5, high=2.0)])
+    space = ParameterSpace([Parameter("body_mass", "fore", low=0.5, high=2.0, scale_inertia=False)])
     data = record(lambda m: m.dof_frictionloss.__setitem__(1, 0.05), noise=1e-3)
     cut = cut_recordings(data, 0, 0, 160)
     fitter = Fitter(cut.fit, cut.horizons)

@@ -18,7 +18,7 @@ MASS = """
 <mujoco><option timestep="0.01"/><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
 <geom size=".1" mass="1"/></body></worldbody><actuator><motor joint="slide"/></actuator></mujoco>
 """
-SPACE = ParameterSpace([Parameter("body_mass", "cart", 0.5, 2.0)])
+SPACE = ParameterSpace([Parameter("body_mass", "cart", 0.5, 2.0, scale_inertia=False)])
 HORIZON = 3
 
 

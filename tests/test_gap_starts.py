@@ -98,7 +98,7 @@ PLACES = {f"position_{a}": (-0.4, 0.6) for a in "xyz"}
 @pytest.fixture
 def loaded():
     """A link with a free mass and a load somewhere."""
-    space = ParameterSpace([Parameter("body_mass", "link", 0.5, 2.0)])
+    space = ParameterSpace([Parameter("body_mass", "link", 0.5, 2.0, scale_inertia=False)])
     return Replay(mujoco.MjModel.from_xml_string(ARM), space, [effect("payload", "link", mass=(0, 3), **PLACES)])
 
 
