@@ -15,19 +15,32 @@ from nfpde.errors import BadInput
 def write_whole(path: Path, data: bytes | str) -> None:
     """Replace a file at once: a kill at any moment leaves the old one or the new one, never a part.
 
-    The data is written beside `path`, brought to the disk, then renamed. A process that is killed may leave
-    `<name>.<process>.tmp` behind.
+    The data is written beside `path`, brought to the disk, then renamed. A write that fails leaves nothing new; a
+    process that is killed may leave `<name>.<process>.tmp` behind.
 
     Args:
         path: the file; its folder must exist.
         data: the content; text is written as UTF-8.
+
+    Raises:
+        OSError: the system's reason (a full disk, a folder that is missing or read-only), with `path` as its
+            `filename`.
     """
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        file.write(data.encode() if isinstance(data, str) else data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    content = data.encode() if isinstance(data, str) else data
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.errno is not None:
+            # writing and syncing name no file, opening and renaming the temporary one
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        raise
     with contextlib.suppress(OSError):  # some systems cannot sync a folder
         descriptor = os.open(path.parent, os.O_RDONLY)
         try:

@@ -1,5 +1,6 @@
 """Files that are whole or not there, and JSON files of a stated version."""
 
+import errno
 import json
 import math
 import os
@@ -33,6 +34,43 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch, function)
         with pytest.raises(OSError, match="disk full"):
             write_whole(path, "new")
     assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("function", ["fsync", "replace"])
+def test_the_error_of_a_write_names_the_file(tmp_path, monkeypatch, function):
+    """Number and words of the system, and the file that was asked for, not the one beside it."""
+    path = tmp_path / "a.json"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os if function == "fsync" else type(path), function, full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*/a\.json'$") as raised:
+        write_whole(path, "new")
+    assert (raised.value.errno, raised.value.strerror) == (errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert (raised.value.filename, raised.value.filename2) == (str(path), None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path):
+    """The error is of the kind that it was, of the file that was asked for."""
+    with pytest.raises(FileNotFoundError) as raised:
+        write_whole(tmp_path / "none" / "a.json", "new")
+    assert raised.value.filename == str(tmp_path / "none" / "a.json")
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, ValueError])
+def test_a_write_that_is_stopped_leaves_nothing(tmp_path, monkeypatch, stop):
+    """Ctrl-C, or anything else: no part of a file is left, and the reason comes through."""
+
+    def stopped(*_):
+        raise stop
+
+    monkeypatch.setattr(os, "fsync", stopped)
+    with pytest.raises(stop):
+        write_whole(tmp_path / "a.json", "new")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

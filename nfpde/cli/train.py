@@ -23,7 +23,9 @@ def command(
     steps: Annotated[int, typer.Option(help="control steps in all")] = 20_000,
     truth: Annotated[Path | None, typer.Option(help="truth.json: evaluate on these robots, the target")] = None,
     evaluation_every: Annotated[int, typer.Option(help="control steps between evaluations and checkpoints")] = 5000,
-    evaluation_episodes: Annotated[int, typer.Option(help="episodes of an evaluation")] = 20,
+    evaluation_episodes: Annotated[
+        int, typer.Option(help="episodes of an evaluation; robots beyond are left out")
+    ] = 20,
     nominal_baseline: Annotated[bool, typer.Option(help="also train on the nominal model, and compare")] = False,
     seed: Annotated[int, typer.Option(help="of everything random")] = 0,
     device: Annotated[

@@ -96,6 +96,14 @@ class TrainResult:
         """Evaluation of the final policy."""
         return self.points[-1]
 
+    @property
+    def robots(self) -> tuple[int, int] | None:
+        """How many of the target's robots the evaluations ran with, and how many it has; None without a target."""
+        target = self.settings.get("target")
+        if target is None:
+            return None
+        return min(len(target["xi"]), self.settings["evaluation_episodes"]), len(target["xi"])
+
     def with_baseline(self, baseline: TrainResult) -> TrainResult:
         """The same, next to a training on the nominal model."""
         return replace(self, baseline=baseline)
@@ -105,7 +113,9 @@ class TrainResult:
         before, after = self.before, self.after
         lines = [f"{after.step} control steps in {self.seconds:.0f} s"]
         if before.target is not None:
-            lines.append(f"return in the target:   {before.target} before, {after.target} after")
+            used, robots = self.robots or (0, 0)
+            chosen = f" ({used} of its {robots} robots)" if used < robots else ""
+            lines.append(f"return in the target:   {before.target} before, {after.target} after{chosen}")
         lines.append(f"return where it trains: {before.training} before, {after.training} after")
         if self.baseline is not None:
             last = self.baseline.after
@@ -124,6 +134,8 @@ def write_json(result: TrainResult) -> None:
         "seconds": result.seconds,
         "points": [asdict(p) for p in result.points],
     }
+    if result.robots is not None:
+        content["robots"] = dict(zip(("evaluated", "all"), result.robots, strict=True))
     if result.baseline is not None:
         content["nominal_baseline"] = {
             "seconds": result.baseline.seconds,

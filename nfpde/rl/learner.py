@@ -19,6 +19,8 @@ from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import BadInput, CheckpointMismatch
+from nfpde.rl.actor import NotFinite
+from nfpde.rl.numbers import whole_number
 from nfpde.rl.policy import Policy
 from nfpde.rl.replay import ReplayFiles
 
@@ -54,19 +56,25 @@ class SacConfig:
     """Entropy coefficient; "auto" learns it, towards an entropy of minus the number of actions."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        whole = {n: getattr(self, n) for n in ("batch_size", "buffer_size", "train_every", "gradient_steps")}
-        whole |= {f"hidden[{i}]": n for i, n in enumerate(self.hidden)}
-        for name, value in whole.items():
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise BadInput(f"SAC: {name} is {value!r}; it must be a whole number, at least 1")
-        if not isinstance(self.learning_starts, int) or self.learning_starts < 0:
-            raise BadInput(f"SAC: learning_starts is {self.learning_starts!r}; it must be a whole number, at least 0")
+        object.__setattr__(
+            self, "hidden", tuple(whole_number(f"SAC: hidden[{i}]", n, 1) for i, n in enumerate(self.hidden))
+        )
+        for name in ("batch_size", "buffer_size", "train_every", "gradient_steps"):
+            object.__setattr__(self, name, whole_number(f"SAC: {name}", getattr(self, name), 1))
+        object.__setattr__(self, "learning_starts", whole_number("SAC: learning_starts", self.learning_starts, 0))
         for name, top in (("learning_rate", float("inf")), ("gamma", 1.0), ("tau", 1.0)):
-            if not 0 < getattr(self, name) <= top:
-                raise BadInput(f"SAC: {name} is {getattr(self, name)!r}; it must lie in (0, {top}]")
-        if self.entropy != "auto" and not (isinstance(self.entropy, float | int) and self.entropy > 0):
-            raise BadInput(f'SAC: entropy is {self.entropy!r}; it must be "auto" or a positive number')
+            value = getattr(self, name)
+            if not _is_number(value) or not 0 < value <= top:
+                raise BadInput(f"SAC: {name} is {value!r}; it must lie in (0, {top}]")
+            object.__setattr__(self, name, float(value))
+        if self.entropy != "auto":
+            if not _is_number(self.entropy) or not 0 < self.entropy < float("inf"):
+                raise BadInput(f'SAC: entropy is {self.entropy!r}; it must be "auto" or a positive number')
+            object.__setattr__(self, "entropy", float(self.entropy))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 class SacLearner:
@@ -90,6 +98,8 @@ class SacLearner:
         self, env: gymnasium.Env[Any, Any], config: SacConfig, *, steps: int, seed: int = 0, device: str = "auto"
     ) -> None:
         _check_spaces(env)
+        self.config = config
+        env = _FiniteOnly(env, self.blown_up)
         seen: Any = env.observation_space
         # the networks compute in single precision anyway, and the buffer takes half the memory
         box = gymnasium.spaces.Box(seen.low.astype(np.float32), seen.high.astype(np.float32), dtype=np.float32)
@@ -118,14 +128,27 @@ class SacLearner:
         return self.model.num_timesteps
 
     def run_round(self, steps: int, seed: int, report: Report) -> list[float]:
-        """Collect `steps` transitions and learn; returns of the episodes that ended."""
+        """Collect `steps` transitions and learn; returns of the episodes that ended.
+
+        Raises:
+            NotFinite: the learning blew up, or the environment gave an observation or a reward that is not finite.
+        """
         model = self.model
         model.set_random_seed(seed)
         model._last_obs = None  # makes learn() begin an episode
         callback = _Callback(report)
         # no interval: nothing is logged, the logger only holds the last losses
         model.learn(steps, callback, log_interval=10**12, reset_num_timesteps=False)
+        if not all(torch.isfinite(tensor).all() for tensor in self.state()[0].values()):  # nothing mends it any more
+            raise self.blown_up(f"weights of the networks are not finite after {self.steps} control steps")
         return callback.returns
+
+    def blown_up(self, what: str) -> NotFinite:
+        """The error of a learning that diverged; `what` says how that shows."""
+        return NotFinite(
+            f"SAC: {what}: the learning blew up, not the simulation; use a smaller learning_rate (it is "
+            f"{self.config.learning_rate:g}), or rewards of smaller size"
+        )
 
     def state(self) -> tuple[dict[str, Tensor], Any]:
         """Weights, optimizers and counters; the transitions are saved by `ReplayFiles`."""
@@ -177,6 +200,32 @@ class SacLearner:
             weights[f"{name}.bias"] = layer.bias.detach().cpu().numpy().copy()
         space: Any = self.model.action_space
         return Policy(weights, space.low, space.high, environment)
+
+
+class _FiniteOnly(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Passes on what is finite: a NaN is told where it arises, not where it ends up."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any], blown_up: Callable[[str], NotFinite]) -> None:
+        super().__init__(env)
+        self.blown_up = blown_up
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._check("observation of a reset", observation)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        if not np.isfinite(action).all():
+            raise self.blown_up(f"the agent gave the action {action}")
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._check("observation of a step", observation)
+        self._check("reward of a step", reward)
+        return observation, reward, terminated, truncated, info
+
+    def _check(self, what: str, numbers: Any) -> None:
+        if not np.isfinite(numbers).all():
+            name = self.spec.id if self.spec is not None else type(self.unwrapped).__name__
+            raise NotFinite(f"environment {name}: the {what} is not finite: {numbers}")
 
 
 class _Callback(BaseCallback):

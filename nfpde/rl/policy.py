@@ -14,6 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from nfpde.errors import BadInput
+from nfpde.rl.actor import check_finite
 from nfpde.storage import write_whole
 
 Float32 = NDArray[np.float32]
@@ -88,7 +89,8 @@ class Policy:
             rng: draws from the policy's own distribution, as in training; None gives its mode.
 
         Raises:
-            BadInput: an observation of another size, or one that is not finite.
+            BadInput: an observation of another size, or one that is not finite; or weights so large that the action
+                is not.
         """
         x = np.asarray(observation, dtype=np.float32)
         if x.ndim not in (1, 2) or x.shape[-1] != self.nobservation:
@@ -97,14 +99,17 @@ class Policy:
             )
         if not np.isfinite(x).all():
             raise BadInput(f"the observation holds a number that is not finite: {x}")
-        for i in range(self.nhidden):
-            x = np.maximum(self._layer(f"hidden.{i}", x), 0.0)
-        raw = self._layer("mean", x)
-        if rng is not None:
-            std = np.exp(np.clip(self._layer("log_std", x), *_LOG_STD))
-            raw = raw + std * rng.standard_normal(raw.shape, dtype=np.float32)
-        share = np.float32(0.5) * (np.tanh(raw) + np.float32(1.0))
-        return (self.low + share * (self.high - self.low)).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is checked
+            for i in range(self.nhidden):
+                x = np.maximum(self._layer(f"hidden.{i}", x), 0.0)
+            raw = self._layer("mean", x)
+            if rng is not None:
+                std = np.exp(np.clip(self._layer("log_std", x), *_LOG_STD))
+                raw = raw + std * rng.standard_normal(raw.shape, dtype=np.float32)
+            share = np.float32(0.5) * (np.tanh(raw) + np.float32(1.0))
+        action = (self.low + share * (self.high - self.low)).astype(np.float32)
+        check_finite(action)
+        return action
 
     def save(self, folder: Path | str) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, made where it is missing."""

@@ -12,6 +12,7 @@ from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.rl.history import TrainResult, write_json
 from nfpde.rl.learner import SacConfig
+from nfpde.rl.numbers import whole_number
 from nfpde.rl.plot import plot_returns
 from nfpde.rl.randomize import Draws, check_source
 from nfpde.rl.tasks import TASKS, Environment
@@ -51,6 +52,12 @@ def train_sac(
     to the last bit as one that was not. (Going on beyond the end does so where the old `steps` was a multiple of
     `evaluation_every`.) A round begins with a fresh episode; one under way at its end is cut and not counted.
 
+    A training goes on in the environment that it began in only: in one with the same arguments, wrappers, spaces and
+    length of episodes, whose start states, observations, rewards and ends are the same in two short test episodes. An
+    environment that carries something over from one episode to the next is refused, be it running statistics
+    (`NormalizeObservation`, `NormalizeReward`) or random numbers that `reset(seed=...)` does not seed: its evaluations
+    could not be compared, and no training could go on exactly.
+
     `out` then holds `policy.safetensors` and `policy.json` (read by `load_policy`), `train.json` (settings and all
     returns), `returns.png`, the state to go on from (`state.safetensors`, `state.json`, `replay/`), and with
     `nominal_baseline` the same in `nominal/`.
@@ -63,10 +70,12 @@ def train_sac(
         out: folder for the results.
         seed: of everything random.
         target: parameters of the real robots: a `Truth`, or vectors (n, D) of the distribution's space; episodes
-            take them in turn. None evaluates on the distribution only.
+            take them in turn. Of more robots than `evaluation_episodes` as many are evaluated, the same every time,
+            one from each of equal stretches of the list; the result says how many. None evaluates on the distribution
+            only.
         space: what vectors mean, where `distribution` is not one that knows.
         evaluation_every: control steps of a round, at least those of an episode; a multiple of `train_every`.
-        evaluation_episodes: episodes of each evaluation, at least 2.
+        evaluation_episodes: episodes of each evaluation, at least 2; as many as there are robots for all of them.
         hyperparameters: of SAC; None for those of `PRESETS` where the environment is among them, else the defaults.
         nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both.
         model: MJCF file in place of the environment's own.
@@ -76,8 +85,9 @@ def train_sac(
         quiet: show no progress.
 
     Raises:
-        BadInput, BadParameter, BadEffect, BadModel: what cannot be used, and why.
-        CheckpointMismatch: `out` holds another training; names the differences.
+        BadInput, BadParameter, BadEffect, BadModel: what cannot be used, and why; BadInput also where the learning
+            blows up, or an observation or a reward is not finite.
+        CheckpointMismatch: `out` holds another training, or one in another environment; names the differences.
         SimulationDiverged: more than a tenth of a round's episodes blew up.
 
     Example:
@@ -93,15 +103,10 @@ def train_sac(
         raise BadInput("target takes vectors (n, D) or a Truth, the robots the policy is for, not a distribution")
     source, space = check_source(distribution, truth if distribution is None and space is None else space)
     vectors, target_space = check_source(vectors, truth or space)
-    for name, value, least in (
-        ("steps", steps, 1),
-        ("seed", seed, 0),
-        ("evaluation_every", evaluation_every, 1),
-        ("evaluation_episodes", evaluation_episodes, 2),
-        ("threads", threads, 1),
-    ):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise BadInput(f"{name} is {value!r}; it must be a whole number, at least {least}")
+    steps, seed = whole_number("steps", steps, 1), whole_number("seed", seed, 0)
+    evaluation_every = whole_number("evaluation_every", evaluation_every, 1)
+    evaluation_episodes = whole_number("evaluation_episodes", evaluation_episodes, 2)
+    threads = whole_number("threads", threads, 1)
     _check_device(device)
     config = hyperparameters
     if config is None:

@@ -12,18 +12,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
-from nfpde.checkpoint import load_state, save_state
-from nfpde.errors import BadInput, SimulationDiverged
+from nfpde.checkpoint import STATE_FILE, flatten_state, load_state, restore_state, save_state
+from nfpde.errors import BadInput, CheckpointMismatch, SimulationDiverged
 from nfpde.parameters import ParameterSpace
 from nfpde.progress import Report, progress
-from nfpde.rl.evaluate import evaluate_policy
-from nfpde.rl.history import Point, Score, TrainResult, write_json
+from nfpde.rl.actor import BadAction, NotFinite
+from nfpde.rl.behaviour import difference, observe
+from nfpde.rl.history import Point, TrainResult, write_json
 from nfpde.rl.learner import SacConfig, SacLearner, isolated_randomness, round_seed
 from nfpde.rl.randomize import Draws, RandomizedParameters
 from nfpde.rl.replay import ReplayFiles
+from nfpde.rl.scoring import Scoring
+from nfpde.rl.settings import environment_settings, episode_limit
 from nfpde.rl.tasks import Environment, make_environment
 from nfpde.sim import model_hash
+
+SETTINGS_VERSION = 2
+"""Of what must be the same for a training to go on; one saved under another version does not."""
 
 MOST_DIVERGED = 0.1
 """Share of a round's episodes that may diverge before training stops."""
@@ -74,6 +81,7 @@ class Training:
 
         Raises:
             CheckpointMismatch: the folder holds another training.
+            BadInput: an environment that cannot be used, or learning that blew up.
             SimulationDiverged: more than a tenth of a round's episodes blew up.
         """
         with isolated_randomness(self.job.threads), self._environments():
@@ -83,6 +91,8 @@ class Training:
                 try:
                     while self.learner.steps < self.job.steps:
                         self._round(report, started)
+                except NotFinite as error:
+                    raise BadInput(f"{error}; {self._left()}") from None
                 except KeyboardInterrupt:
                     raise KeyboardInterrupt(f"training stopped; {self._kept()}") from None
             self.policy.save(self.out)
@@ -107,14 +117,16 @@ class Training:
     def _begin(self) -> None:
         job = self.job
         self.label = self.training.label
-        longest = self.training.spec.max_episode_steps if self.training.spec is not None else None
+        longest = episode_limit(self.training)
         if longest is not None and job.evaluation_every < longest:
             raise BadInput(
                 f"evaluation_every is {job.evaluation_every}; it must be at least an episode of {self.label}, "
                 f"{longest} control steps: a round begins with a fresh episode"
             )
+        self.here = Scoring(self.training, job.evaluation_episodes, job.seed)
+        self.there = None if self.target is None else Scoring(self.target, job.evaluation_episodes, job.seed)
         self.identity = self._identity()
-        saved = load_state(self.out, self.identity)
+        saved = self._load()
         self.out.mkdir(parents=True, exist_ok=True)  # one that cannot be made is told before a round is run
         self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
         if saved is None:
@@ -133,6 +145,30 @@ class Training:
         self.learner.restore(info["learner"], tensors, self.replay)
         self.policy = self.learner.policy(self.label)
 
+    def _load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """The state to go on from, if it is one of this training."""
+        saved = load_state(self.out)
+        if saved is None:
+            return None
+        path, (tensors, info) = self.out / STATE_FILE, saved
+        version = info.get("run", {}).get("schema_version")
+        if version != SETTINGS_VERSION:
+            raise CheckpointMismatch(
+                f"{path} was saved by another version of nfpde (settings of version {version}, this one goes on with "
+                f"{SETTINGS_VERSION}): train in another folder"
+            )
+        load_state(self.out, self.identity)  # refuses other settings
+        before = restore_state(info["behaviour"], tensors)
+        found = difference(before, observe(self.training, before["parameters"]))
+        if found is not None:
+            raise CheckpointMismatch(
+                f"{path} was saved by another run:\n"
+                f"  environment {self.label}, {found[0]}: saved {found[1]}, now {found[2]}\n"
+                "Use the same environment to go on (rewards, observations, start states, ends of episodes), or another "
+                "folder to start afresh."
+            )
+        return saved
+
     def _round(self, report: Report, started: float) -> None:
         job, learner = self.job, self.learner
         shown = {} if self.points[-1].target is None else {"target": str(self.points[-1].target)}
@@ -146,17 +182,22 @@ class Training:
         if diverged > MOST_DIVERGED * max(len(returns), 10):
             raise SimulationDiverged(
                 f"the simulation diverged in {diverged} of the {len(returns)} episodes up to control step "
-                f"{learner.steps}: use a smaller timestep in the model, or tighter bounds; {self._kept()}"
+                f"{learner.steps}: use a smaller timestep in the model, or tighter bounds; {self._left()}"
             )
         self.policy = learner.policy(self.label)
         self.points.append(self._judge(returns, diverged))
         self.seconds = time.monotonic() - started
         self.replay.add(learner.buffer, first, learner.steps)
         tensors, layout = learner.state()
-        points = [asdict(p) for p in self.points]
-        save_state(
-            self.out, tensors, {"run": self.identity, "learner": layout, "points": points, "seconds": self.seconds}
-        )
+        seen, behaviour = flatten_state("behaviour", self.here.behaviour)
+        info = {
+            "run": self.identity,
+            "learner": layout,
+            "behaviour": behaviour,
+            "points": [asdict(p) for p in self.points],
+            "seconds": self.seconds,
+        }
+        save_state(self.out, {**tensors, **seen}, info)
         self.saved = learner.steps
         self.replay.clean(learner.buffer.buffer_size, learner.steps)
         self.policy.save(self.out)
@@ -168,24 +209,27 @@ class Training:
             return "nothing was saved yet: the same call starts afresh"
         return f"{self.out} holds the state after {self.saved} control steps, from which the same call goes on"
 
+    def _left(self) -> str:
+        """The same where the same call would end in the same way."""
+        if self.saved is None:
+            return "nothing was saved"
+        return f"{self.out} holds the state after {self.saved} control steps; other settings need another folder"
+
     def _judge(self, returns: list[float], diverged: int) -> Point:
         """Evaluate the policy where it trains and in the target."""
+        try:
+            training = self.here.score(self.policy)
+            target = None if self.there is None else self.there.score(self.policy)
+        except BadAction as error:
+            raise self.learner.blown_up(str(error)) from None
         return Point(
             step=self.learner.steps,
             exploring=float(np.mean(returns)) if returns else None,
             episodes=len(returns),
             diverged=diverged,
-            training=self._score(self.training),
-            target=None if self.target is None else self._score(self.target),
+            training=training,
+            target=target,
         )
-
-    def _score(self, env: RandomizedParameters) -> Score:
-        episodes = self.job.evaluation_episodes
-        try:
-            found = evaluate_policy(self.policy, env, episodes=episodes, seed=self.job.seed)
-        except SimulationDiverged as error:
-            return Score(None, None, problem=str(error))
-        return Score(found.mean, found.standard_error, tuple(found.returns.tolist()))
 
     def _result(self) -> TrainResult:
         return TrainResult(self.out, self.identity, tuple(self.points), self.policy, self.seconds)
@@ -194,8 +238,8 @@ class Training:
         """What must be the same for a training to go on."""
         job = self.job
         return {
-            "schema_version": 1,
-            "environment": self.label,
+            "schema_version": SETTINGS_VERSION,
+            **environment_settings(self.training),
             "model": model_hash(self.training.nominal_model),
             "space": self.space.to_json(),
             "parameters": _digest(self.source),
