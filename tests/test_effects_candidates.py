@@ -43,15 +43,19 @@ def test_every_effect_is_tried_where_it_makes_sense(robot):
     contact = {"ground_friction", "contact_softness", "ground_height"}
     commands = {"motor_strength", "actuator_bias", "actuation_delay", "observation_delay", "actuator_lag", "dead_zone"}
     drives = {"torque_limit", "torque_speed", "load_friction", "backlash"}
+    for readings in (commands, drives):
+        readings |= {n for n in effect_names() if registry._REGISTRY[n].says in readings}
+    of_servos = {"servo_gain", "joint_offset_logged", "sensor_scale_logged", "backlash_outer", "backlash_geared_outer"}
+    of_servos |= {"motor_strength_command", "motor_strength_gear", "backlash_command"}
     expected = {
         "arm": set(effect_names()) - contact,
-        "motors": set(effect_names()) - contact - {"servo_gain"},
-        "block": set(effect_names()) - {"servo_gain"},
-        "box": set(effect_names()) - {"servo_gain"} - commands - drives,
-        "ball": set(effect_names()) - {"servo_gain"} - commands - drives,
+        "motors": set(effect_names()) - contact - of_servos,
+        "block": set(effect_names()) - of_servos,
+        "box": set(effect_names()) - of_servos - commands - drives,
+        "ball": set(effect_names()) - of_servos - commands - drives,
     }[name]
     axes = {"coulomb_friction", "stribeck_friction", "viscous_damping", "joint_spring", "armature", "joint_offset"}
-    axes |= {"sensor_scale"}
+    axes |= {"sensor_scale", "sensor_scale_position"}
     if name == "box":
         expected -= axes
     if name == "ball":

@@ -78,7 +78,7 @@ def test_a_short_lag_tends_to_none():
     commands = np.random.default_rng(0).uniform(-1, 1, (1, 12, 2))
     out = lag.command(commands, np.array([[2e-9]]), 0.002)
     np.testing.assert_allclose(out, commands, atol=4e-6)
-    assert lag.memory_time() == pytest.approx(0.4)
+    assert lag.memory_time() == pytest.approx(0.5)
 
 
 # Torque-speed line

@@ -28,14 +28,22 @@ CASES = {
     "actuator_bias": ("elbow_motor", {"offset": (-1.0, 1.0)}),
     "actuator_lag": ("*", {"time_constant": (0.0, 0.02)}),
     "backlash": ("*", {"width": (0.0, 0.1)}),
+    "backlash_geared": ("*", {"width": (0.0, 0.1)}),
+    "backlash_geared_outer": ("*", {"width": (0.0, 0.1)}),
+    "backlash_outer": ("*", {"width": (0.0, 0.1)}),
     "dead_zone": ("*", {"half_width": (0.0, 0.5)}),
+    "dead_zone_gate": ("*", {"half_width": (0.0, 0.5)}),
     "external_force": ("lower", {"force_x": (-5, 5), "force_y": (-5, 5), "force_z": (-5, 5)}),
     "joint_offset": ("shoulder", {"offset": (-0.5, 0.5)}),
+    "joint_offset_logged": ("shoulder", {"offset": (-0.5, 0.5)}),
     "joint_spring": ("*", {"stiffness": (0.0, 3.0), "rest": (-1.0, 1.0)}),
     "load_friction": ("*", {"base": (0.0, 0.3), "share": (0.0, 0.9)}),
     "observation_delay": (None, {"delay": (0.0, 0.03)}),
     "sensor_scale": ("*", {"scale": (0.6, 1.7)}),
+    "sensor_scale_logged": ("*", {"scale": (0.6, 1.7)}),
+    "sensor_scale_position": ("*", {"scale": (0.6, 1.7)}),
     "stribeck_friction": ("*", {"coulomb": (0.0, 0.5), "static": (0.0, 1.0), "speed": (0.05, 0.5)}),
+    "time_scale_counted": (None, {"ratio": (0.8, 1.25)}),
     "torque_speed": ("*", {"no_load_speed": (0.5, 5.0), "stall_torque": (0.2, 3.0)}),
 }
 
@@ -73,7 +81,7 @@ SERVOS = DOUBLE_PENDULUM.replace(
 
 def equals_its_twin(sim):
     """Predictions all over the bounds, and at their ends, are those of plain MuJoCo, and differ from each other."""
-    windows = make_windows(sim.model, 4, 5, nsub=4)
+    windows = make_windows(sim.model, 4, 5, nsub=4, history=sim.history_steps(4 * sim.model.opt.timestep))
     xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
     expected = sim.reference.predict(xi, windows)
     assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
@@ -81,13 +89,33 @@ def equals_its_twin(sim):
 
 
 @pytest.mark.parametrize(
-    "name", ["backlash", "dead_zone", "joint_offset", "load_friction", "sensor_scale", "torque_speed"]
+    "name",
+    [
+        "backlash",
+        "backlash_geared",
+        "backlash_geared_outer",
+        "backlash_outer",
+        "dead_zone",
+        "dead_zone_gate",
+        "joint_offset",
+        "joint_offset_logged",
+        "load_friction",
+        "sensor_scale",
+        "sensor_scale_logged",
+        "torque_speed",
+    ],
 )
 def test_kernel_equals_its_twin_with_servos(name):
     """Position and velocity servos with gears and limits, where the effects act in other ways than with motors."""
     bounds = CASES[name][1]
     sim = WarpSimulator(load(SERVOS), None, [effect(name, "*", **bounds)], device=WARP, check_influence=False)
     equals_its_twin(sim)
+
+
+def test_play_of_a_servos_command_equals_its_twin():
+    """It needs a position servo; its gear is 2."""
+    play = effect("backlash_command", "#0", width=(0.0, 0.3))
+    equals_its_twin(WarpSimulator(load(SERVOS), None, [play], device=WARP, check_influence=False))
 
 
 def test_dead_zones_are_about_what_encoders_read():
@@ -161,8 +189,8 @@ def test_limits_that_only_some_rows_have(name, bounds, weak):
 
 def test_every_kernel_has_a_case():
     """A kernel that nobody compares with its twin is not offered."""
-    # no effect of the library, but of the diagnosis, beside which it is tested
-    ours = {"residual_force"}
+    # no effect of the library, but of the diagnosis, beside which it is tested; and one of position servos alone
+    ours = {"residual_force", "backlash_command"}
     assert CASES.keys() | ours == COMMANDS.keys() | STEPS.keys() | SENSORS.keys()
     assert CASES.keys() <= set(effect_names())
 

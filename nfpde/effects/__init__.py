@@ -5,6 +5,7 @@ from nfpde.effects import actuator_bias as actuator_bias
 from nfpde.effects import actuator_lag as actuator_lag
 from nfpde.effects import armature as armature
 from nfpde.effects import backlash as backlash
+from nfpde.effects import backlash_command as backlash_command
 from nfpde.effects import com_shift as com_shift
 from nfpde.effects import contact_softness as contact_softness
 from nfpde.effects import coulomb_friction as coulomb_friction
@@ -17,6 +18,7 @@ from nfpde.effects import ground_height as ground_height
 from nfpde.effects import joint_offset as joint_offset
 from nfpde.effects import joint_spring as joint_spring
 from nfpde.effects import load_friction as load_friction
+from nfpde.effects import logged as logged
 from nfpde.effects import motor_strength as motor_strength
 from nfpde.effects import observation_delay as observation_delay
 from nfpde.effects import payload as payload

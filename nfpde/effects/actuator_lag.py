@@ -10,8 +10,8 @@ from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 
-_SETTLED = 4.0
-"""Time constants after which a command is as good as forgotten: 2 % of it is left."""
+_SETTLED = 5.0
+"""Time constants after which a command is as good as forgotten: 0.7 % of it is left."""
 
 
 @register
@@ -35,7 +35,7 @@ class ActuatorLag(Effect):
         return {"time_constant": (0.0, max(0.3, 5 * scales.control_dt))}
 
     def memory_time(self) -> float:
-        """As many of the longest time constants [s] as it takes to forget."""
+        """Five of the longest time constants [s]."""
         return _SETTLED * self.parameters[0].high
 
     def command(self, ctrl: Array, values: Array, timestep: float) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.effects.drive import DRIVE_FIELDS, Drives, is_plain
+from nfpde.effects.drive import DRIVE_FIELDS, Drives, is_plain, is_servo, is_speed_servo
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity, Rows, World
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -35,6 +35,9 @@ class Backlash(Effect):
     momentum of both (an impulse of J times the difference of their speeds, in one physics step). A servo measures
     the rotor, which is integrated implicitly in the servo's gains: they may be too stiff for it, not for the joint.
 
+    What resists the joint's motion, its damping and friction, sits behind the play, at the joint: see `backlash_geared`
+    for the rotor's side, and `backlash_outer` for servos that measure the joint.
+
     No recording says where in the play a window starts: the rotor is taken through the recorded motion before it. Where
     that is not known (an episode's first rows, windows without `past`), it begins at the end where the teeth transmit
     the torque of the first step.
@@ -48,9 +51,16 @@ class Backlash(Effect):
     sentence = "The gear has play: after a change of the torque's direction the motor turns freely for a moment."
     confounders = ("dead_zone", "coulomb_friction", "stribeck_friction", "actuation_delay")
 
+    resists: ClassVar[bool] = False
+    """Whether the joint's damping and friction are the rotor's."""
+    outer: ClassVar[bool] = False
+    """Whether servos measure the joint, not the rotor."""
+
     drives: Drives
     spare: Array
     """Inertia (k,) of the rotors whose joints have no armature."""
+    traits: Rows
+    """Of each, in bits: 1 for `resists`, 2 for `outer` (k,)."""
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -73,6 +83,7 @@ class Backlash(Effect):
         if len(set(bound.drives.joints.tolist())) < len(bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: two of these actuators drive one joint; target one")
         bound.spare = _ROTOR * model.dof_M0[bound.drives.dofs]
+        bound.traits = np.full(len(bound.ids), self.resists + 2 * self.outer, dtype=np.intp)
         return bound
 
     def recall_time(self) -> float:
@@ -92,10 +103,12 @@ class Backlash(Effect):
         joint, joint_speed = world.qpos[np.ix_(rows, d.qposadr)], world.qvel[np.ix_(rows, d.dofs)]
         armature = world.fields["dof_armature"][np.ix_(rows, d.dofs)]
         inertia = np.where(armature > 0, armature, self.spare)
+        drag, friction = self._resistance(world, rows)
         acceleration = np.where(np.isnan(before), 0.0, joint_speed - before) / dt
         unknown = np.isnan(side)
         if unknown.any():  # in the first step, and in the second, which knows the acceleration
-            pushing = np.where(d.torque(world, rows) - inertia * acceleration < 0, -1.0, 1.0)
+            lost = inertia * acceleration + _resisting(joint_speed, drag, friction, dt / inertia)
+            pushing = np.where(d.torque(world, rows) - lost < 0, -1.0, 1.0)
             side = np.where(unknown, pushing, side)
 
         # free rotors that cross the play nearer to now than to the next step meet the joint, if not on their way back
@@ -108,14 +121,24 @@ class Backlash(Effect):
         # rotors at an end stay there while the teeth push
         position = np.where(side != 0, joint + side * half, position)
         speed = np.where(side != 0, joint_speed, speed)
-        torque = d.torque(world, rows, position, speed)
-        side = np.where(~met & (side * (torque - inertia * acceleration) < 0), 0.0, side)
+        torque = d.torque(world, rows) if self.outer else d.torque(world, rows, position, speed)
+        lost = inertia * acceleration + _resisting(speed, drag, friction, dt / inertia)
+        side = np.where(~met & (side * (torque - lost) < 0), 0.0, side)
 
         stiffness, damping = self._couple(world, rows, side == 0, position - joint)
-        change = dt * (torque - dt * stiffness * speed) / (inertia + dt * (damping + dt * stiffness))
-        speed = speed + change  # of use, as the position, while the rotor is free
+        whole = inertia + dt * (damping + drag + dt * stiffness)
+        # of use, as the position, while the rotor is free; friction stops, and turns nothing round
+        speed = speed + dt * (torque - drag * speed - dt * stiffness * speed) / whole
+        speed = speed - np.clip(speed, -dt * friction / whole, dt * friction / whole)
         side = np.where(unknown & np.isnan(before), np.nan, side)
         memory[:, rows] = side, position + dt * speed, speed, np.where(met, np.nan, joint_speed)
+
+    def _resistance(self, world: World, rows: Rows) -> tuple[Array | float, Array | float]:
+        """Damping and friction of the rotors, (n, k) each."""
+        if not self.resists:
+            return 0.0, 0.0
+        cell = np.ix_(rows, self.drives.dofs)
+        return world.fields["dof_damping"][cell], world.fields["dof_frictionloss"][cell]
 
     def _couple(self, world: World, rows: Rows, free: NDArray[np.bool_], ahead: Array) -> tuple[Array, Array]:
         """Cut free rotors off their joints, and let servos measure the rotors that are not; (n, k) each.
@@ -127,11 +150,57 @@ class Backlash(Effect):
         gain, bias = world.fields["actuator_gainprm"], world.fields["actuator_biasprm"]
         gear = d.field(world, "actuator_gear", rows)[..., 0]
         own = d.field(world, "actuator_biasprm", rows) * (world.model.actuator_biastype[d.ids] == _AFFINE)[:, None]
-        bias[(*np.ix_(rows, d.ids), 0)] += own[..., 1] * gear * ahead
+        if not self.outer:
+            bias[(*np.ix_(rows, d.ids), 0)] += own[..., 1] * gear * ahead
         cell = (rows[:, None], d.ids[None, :])
         bias[cell] *= ~free[..., None]
         gain[cell] *= ~free[..., None]
-        armature = world.fields["dof_armature"]
-        armature[np.ix_(rows, d.dofs)] *= ~free
+        for name in ("dof_armature", *(("dof_damping", "dof_frictionloss") if self.resists else ())):
+            world.fields[name][np.ix_(rows, d.dofs)] *= ~free
+        if self.outer:
+            return np.zeros(gear.shape), np.zeros(gear.shape)
         stiffness, damping = (np.clip(-(gear**2) * own[..., i], 0.0, None) for i in (1, 2))
         return stiffness, damping
+
+
+def _resisting(speed: Array, drag: Array | float, friction: Array | float, per_torque: Array) -> Array:
+    """Torque against a motion, (n, k); friction gives way to rest within the speed that it takes in a step."""
+    stopped = np.where(friction > 0, friction * per_torque, 1.0)  # where there is none, what of it is no matter
+    return drag * speed + friction * np.clip(speed / stopped, -1.0, 1.0)
+
+
+@register
+class BacklashGeared(Backlash):
+    """`backlash` with the joint's damping and friction on the rotor's side of the play, as of a motor and its gear."""
+
+    name = "backlash_geared"
+    says = "backlash"
+    step_fields = (*Backlash.step_fields, "dof_damping", "dof_frictionloss")
+    resists = True
+    sentence = "The gear has play, and what resists is on the motor's side: in between the joint moves freely."
+
+
+@register
+class BacklashOuter(Backlash):
+    """`backlash` of a servo whose encoder sits at the joint, beyond the play."""
+
+    name = "backlash_outer"
+    says = "backlash"
+    outer = True
+    sentence = "The gear has play, and the servo's encoder sits beyond it, at the joint."
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """As for `backlash`, on position and velocity servos."""
+        servo = element >= 0 and (is_servo(model, element) or is_speed_servo(model, element))
+        return super().bounds_for(model, element, scales) if servo else None
+
+
+@register
+class BacklashGearedOuter(BacklashOuter):
+    """`backlash_outer` with the joint's damping and friction on the rotor's side of the play."""
+
+    name = "backlash_geared_outer"
+    step_fields = BacklashGeared.step_fields
+    resists = True
+    sentence = "The gear has play, what resists is on the motor's side, and the servo's encoder is at the joint."

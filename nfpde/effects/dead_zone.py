@@ -72,10 +72,48 @@ class DeadZone(Effect):
         servos = self.servos
         if not len(servos.ids):
             return
+        gain, force = self._gain_and_force(world, rows)
+        most = np.abs(gain) * values
+        world.fields["actuator_biasprm"][(*np.ix_(rows, servos.ids), 0)] -= np.clip(force, -most, most)
+
+    def _gain_and_force(self, world: World, rows: Rows) -> tuple[Array, Array]:
+        """Gains of the position servos, and these times their errors, (n, k) each."""
+        servos = self.servos
         gear, gain = (servos.field(world, f"actuator_{name}", rows)[..., 0] for name in ("gear", "gainprm"))
         own = servos.field(world, "actuator_biasprm", rows)
         sent = servos.clamped(world.model, world.ctrl[np.ix_(rows, servos.ctrls)])
-        # gain times error, from what the servo makes of its reading; no division, as other effects may leave no gain
-        force = gain * sent + own[..., 0] + own[..., 1] * gear * world.qpos[np.ix_(rows, servos.qposadr)]
-        most = np.abs(gain) * values
-        world.fields["actuator_biasprm"][(*np.ix_(rows, servos.ids), 0)] -= np.clip(force, -most, most)
+        # from what the servo makes of its reading; no division, as other effects may leave no gain
+        return gain, gain * sent + own[..., 0] + own[..., 1] * gear * world.qpos[np.ix_(rows, servos.qposadr)]
+
+
+@register
+class DeadZoneGate(DeadZone):
+    """`dead_zone` as a gate: nothing within `half_width` of zero, and all beyond it.
+
+    A motor or velocity servo ignores such commands; a position servo switches off while its error is that small, its
+    damping too.
+    """
+
+    name = "dead_zone_gate"
+    says = "dead_zone"
+    sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold, then in full."
+
+    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
+        """Take out small commands of motors."""
+        if not len(self.motors.ids):
+            return ctrl
+        out = ctrl.copy()
+        sent = self.motors.clamped(self.model, ctrl[:, :, self.motors.ctrls])
+        out[:, :, self.motors.ctrls] = np.where(np.abs(sent) <= values[:, :1, None], 0.0, sent)
+        return out
+
+    def step(self, world: World, rows: Rows, values: Array) -> None:
+        """Switch position servos off whose errors are small."""
+        servos = self.servos
+        if not len(servos.ids):
+            return
+        gain, force = self._gain_and_force(world, rows)
+        beyond = np.abs(force) > np.abs(gain) * values
+        cell = (rows[:, None], servos.ids[None, :])
+        world.fields["actuator_gainprm"][cell] *= beyond[..., None]
+        world.fields["actuator_biasprm"][cell] *= beyond[..., None]

@@ -107,6 +107,8 @@ class Effect:
     """`write_model` of lower ones runs first: what builds on fields that others change is 1."""
     sentence: ClassVar[str]
     """What it is, for a roboticist."""
+    says: ClassVar[str] = ""
+    """The effect that this is another reading of, where engineers mean different things by one name; "" for none."""
     confounders: ClassVar[tuple[str, ...]] = ()
     """Effects that explain much of the same data."""
     whole: ClassVar[str] = "all"
@@ -162,6 +164,11 @@ class Effect:
         if self.kind == "actuator":
             bound.ctrls = actuator_ctrls(model, bound.ids)
         return bound
+
+    @property
+    def called(self) -> str:
+        """Its name in reports: that of the effect of which it is a reading, or its own."""
+        return self.says or self.name
 
     @property
     def place(self) -> str:

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 import mujoco
 import numpy as np
 
+from nfpde.effects.drive import is_servo, is_speed_servo
 from nfpde.effects.effect import Array, Bounds, Effect, Quantity
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -72,6 +73,47 @@ class MotorStrength(Effect):
         ):
             prm[self.ids[~muscle]] *= values[0]
             prm[self.ids[muscle], _PEAK] *= values[0]
+
+
+@register
+class MotorStrengthCommand(MotorStrength):
+    """`motor_strength` of a servo as a factor on its command alone: its gain is scaled, its feedback is not."""
+
+    name = "motor_strength_command"
+    says = "motor_strength"
+    sentence = "The servo aims at a fixed share of its command: a wrong unit or calibration of the setpoint."
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """As for `motor_strength`, on position and velocity servos."""
+        return super().bounds_for(model, element, scales) if _feeds_back(model, element) else None
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Scale the gain."""
+        model.actuator_gainprm[self.ids] *= values[0]
+
+
+@register
+class MotorStrengthGear(MotorStrength):
+    """`motor_strength` of a servo as another gear: MuJoCo's `actuator_gear`, through which it also sees its joint."""
+
+    name = "motor_strength_gear"
+    says = "motor_strength"
+    sentence = "The transmission gives a fixed share of the torque, and of the motion that the servo sees."
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """As for `motor_strength`, on position and velocity servos."""
+        return super().bounds_for(model, element, scales) if _feeds_back(model, element) else None
+
+    def write_model(self, model: mujoco.MjModel, values: Array) -> None:
+        """Scale the gear."""
+        model.actuator_gear[self.ids] *= values[0]
+
+
+def _feeds_back(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether it makes a difference what of an actuator is scaled."""
+    return actuator >= 0 and (is_servo(model, actuator) or is_speed_servo(model, actuator))
 
 
 def _is_scalable(model: mujoco.MjModel, actuator: int) -> bool:

@@ -33,8 +33,13 @@ class Accepted:
 
 
 def key(effect: Effect) -> tuple[str, str]:
-    """Name and place."""
+    """Name and place, of each reading of an effect its own."""
     return effect.name, effect.place
+
+
+def called(effect: Effect) -> tuple[str, str]:
+    """Name and place in reports, the same for all readings of an effect."""
+    return effect.called, effect.place
 
 
 def parameter_count(trial: Trial) -> int:

@@ -13,7 +13,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import LINEAR, Effect, slides
 from nfpde.elements import element_names
 from nfpde.gap.acceptance import CLOSED
-from nfpde.gap.accepted import Accepted, key
+from nfpde.gap.accepted import Accepted, called, key
 from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
@@ -195,8 +195,9 @@ class Outcome:
         values = _fitted(fit, errors, columns, [q.name for q in effect.quantities])
         if slides(self.selection.model, effect):
             values = {n: replace(v, unit=LINEAR.get(v.unit, v.unit)) for n, v in values.items()}
-        name, target = key(effect)
-        return Cause(name, target, effect.sentence, values, shrink, low, high, gain, error)
+        name, target = called(effect)
+        reading = effect.name if effect.says else ""
+        return Cause(name, target, effect.sentence, values, shrink, low, high, gain, error, reading=reading)
 
 
 def answer(outcome: Outcome, seconds: float) -> GapReport:
@@ -221,7 +222,9 @@ def answer(outcome: Outcome, seconds: float) -> GapReport:
         forces = [needed_forces(left_over.fit, half, quiet, outcome.typical, noise) for half in halves]
         left = leftover(near.recordings, forces[0], forces[1], quiet, left_over.held, model)
         force = describe(left, model, near.recordings.held)
-    ranking = sorted(_tried(outcome), key=lambda c: -c.shrink)
+    tried = sorted(_tried(outcome), key=lambda c: -c.shrink)
+    best = {(c.effect, c.target): c for c in reversed(tried)}  # of the readings of an effect
+    ranking = [c for c in tried if c is best[c.effect, c.target]]
     found = gap_map(model, joined(near.recordings.fit, near.recordings.held), np.concatenate(at_base), court.capped)
     where = places(found)
     reads = _reads(model, outcome.error)
@@ -287,14 +290,14 @@ def _causes(outcome: Outcome) -> list[Cause]:
     out = []
     for accepted, before in zip(outcome.accepted, outcome.without, strict=True):
         cause = outcome.cause(accepted.effect, outcome.final.fit, outcome.errors, before, outcome.final)
-        rivals = [t.effect for t in accepted.rivals if t.effect is not None]
-        text = ""
-        if rivals:
-            names = (_called(accepted.effect), _called(rivals[0]))
-            text = separating_experiment(
-                accepted.trial.fit, accepted.rivals[0].fit, outcome.recordings.held, outcome.sigma, names
-            )
-        others = [Rival(*key(e)) for e in rivals]
+        own = called(accepted.effect)
+        rivals = {called(t.effect): t for t in reversed(accepted.rivals) if t.effect is not None}
+        others = [name for t in accepted.rivals if t.effect is not None and (name := called(t.effect)) != own]
+        others, text = list(dict.fromkeys(others)), ""
+        if others:
+            names, fit = (_called(own), _called(others[0])), rivals[others[0]].fit
+            text = separating_experiment(accepted.trial.fit, fit, outcome.recordings.held, outcome.sigma, names)
+        others = [Rival(*name) for name in others]
         out.append(replace(cause, indistinguishable=others, separating_experiment=text))
     return sorted(out, key=lambda c: -c.shrink)
 
@@ -322,8 +325,8 @@ def _reads(model: mujoco.MjModel, error: Array) -> dict[str, str]:
     return said
 
 
-def _called(effect: Effect) -> str:
-    name, target = key(effect)
+def _called(name_and_place: tuple[str, str]) -> str:
+    name, target = name_and_place
     return f"{name} at {target}" if target else name
 
 
@@ -346,9 +349,9 @@ def _ladder(outcome: Outcome, gap: Level) -> list[tuple[str, float]]:
         trial = outcome.final
         for later in range(len(outcome.accepted) - 1, i, -1):
             trial = outcome.selection.without(trial, later)
-        rungs.append((f"+ {_called(accepted.effect)}", float(outcome.yardstick.gap(trial.held).mean()) / unit))
+        rungs.append((f"+ {_called(called(accepted.effect))}", float(outcome.yardstick.gap(trial.held).mean()) / unit))
     if outcome.accepted:
-        rungs.append((f"+ {_called(outcome.accepted[-1].effect)}", gap.after_effects))
+        rungs.append((f"+ {_called(called(outcome.accepted[-1].effect))}", gap.after_effects))
     return [*rungs, ("noise floor", gap.noise_floor)]
 
 

@@ -132,8 +132,8 @@ def candidates_beside(model: mujoco.MjModel, scales: DataScales, free: Sequence[
 def _what(effect: Effect, model: mujoco.MjModel) -> tuple[str, tuple[int, ...]]:
     """An effect and the elements it acts on, however they are named."""
     if effect.kind is None:
-        return effect.name, ()
-    return effect.name, tuple(sorted({int(i) for i in effect.bind(model).ids}))
+        return effect.called, ()
+    return effect.called, tuple(sorted({int(i) for i in effect.bind(model).ids}))
 
 
 def _nominal(start: Replay) -> Array:

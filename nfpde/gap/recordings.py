@@ -40,6 +40,10 @@ MOST_LEFT_OUT = 0.2
 """Share of the windows that may be left out at the beginnings of episodes."""
 
 
+_MEMORY = 1 << 24
+"""Numbers that single steps and what came before them may take, if few of them would do: 1 kHz has long pasts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recordings:
     """Windows of the two halves of a data set.
@@ -118,7 +122,9 @@ def cut_recordings(
     )
     singles = dataset.windows(1)
     inside = np.flatnonzero(np.isin(singles.episode, second.episode) & held.late(singles))
-    rows = dataset.windows(1, history=history, past=past, at=inside[: 20 * windows])
+    width = history * dataset[0].ctrl.shape[1] + past * (dataset[0].qpos.shape[1] + dataset[0].qvel.shape[1])
+    most = int(np.clip(_MEMORY // max(width, 1), 2 * windows, 20 * windows))
+    rows = dataset.windows(1, history=history, past=past, at=inside[:most])
     encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset])
     return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second, encoders)
 

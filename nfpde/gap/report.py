@@ -44,7 +44,7 @@ class Cause:
     """An effect on a target, fitted together with everything else.
 
     Args:
-        effect: Name in the effect library.
+        effect: Name in the effect library; all readings of an effect have its name.
         target: Element it acts on; "" for one on the whole robot or world.
         sentence: What the effect is, for a roboticist.
         parameters: Its fitted values by name.
@@ -52,6 +52,8 @@ class Cause:
         gain: Held-out log likelihood gained per window [nats], with its standard error in `gain_error`.
         indistinguishable: Effects that these recordings cannot tell from it.
         separating_experiment: What to record to tell them apart; "" where there are none.
+        reading: Name under which `nfpde.effect` gives exactly this reading, where engineers mean different things by
+            the name; "" for the plain one.
     """
 
     effect: str
@@ -65,6 +67,7 @@ class Cause:
     gain_error: float
     indistinguishable: Sequence[Rival] = ()
     separating_experiment: str = ""
+    reading: str = ""
 
 
 @dataclass(frozen=True)

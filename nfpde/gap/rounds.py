@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
-from nfpde.gap.accepted import key
+from nfpde.gap.accepted import called, key
 from nfpde.gap.fit import Fit
 from nfpde.gap.recall import Recall
 from nfpde.gap.refit import refit
@@ -52,8 +52,7 @@ class Rounds:
     def refitted(self, current: Trial, taken: Sequence[Effect]) -> list[Trial]:
         """The candidates that screening likes, refitted beside what is there; most held-out density first."""
         base = self.court.fitter.linearise(current.fit)
-        keys = {key(e) for e in taken}
-        open_ones = self._open(keys)
+        open_ones = self._open(taken)
         replay_with, replays = self._beside(base)
         if len(open_ones) > MOST_SCREENED:
             glanced = self._screen(base, open_ones, replay_with, GLANCED)
@@ -69,9 +68,9 @@ class Rounds:
     def twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
         """Effects that do the same as one that was found, refitted, where they were not."""
         base = self.court.fitter.linearise(current.fit)
-        known = {key(e) for e in (*taken, *(t.effect for t in trials)) if e is not None}
+        known = {key(t.effect) for t in trials if t.effect is not None}
         replay_with, replays = self._beside(base)
-        twins = find_twins(self.court, base, found, self._open(known), replay_with, touches=self._touches)
+        twins = find_twins(self.court, base, found, self._open(taken, known), replay_with, touches=self._touches)
         more = self._refit(base, twins)
         self.count(*replays)
         return more
@@ -90,9 +89,10 @@ class Rounds:
         self.count(*(s.replay for s in hopeful))
         return found
 
-    def _open(self, known: Collection[tuple[str, str]]) -> list[tuple[Effect, Array]]:
-        """The candidates beside those that are known."""
-        asked = [(e, values) for e, values in self.candidates if key(e) not in known]
+    def _open(self, taken: Sequence[Effect], known: Collection[tuple[str, str]] = ()) -> list[tuple[Effect, Array]]:
+        """The candidates beside those that are taken, however these are read, and those that are known."""
+        names = {called(e) for e in taken}
+        asked = [(e, values) for e, values in self.candidates if called(e) not in names and key(e) not in known]
         return [(e, values) for e, values in asked if e.whole != "contact"] if self.untouched else asked
 
     def _refit(self, base: Fit, screened: Sequence[Screened]) -> list[Trial]:

@@ -15,6 +15,16 @@ def _forget(
     memory_out[worldid, i, k] = wp.nan
 
 
+@wp.func
+def _resisting(speed: float, drag: float, friction: float, per_torque: float):
+    """Torque against a motion; friction gives way to rest within the speed that it takes in a step."""
+    stopped = friction * per_torque
+    share = float(0.0)
+    if stopped > 0.0:
+        share = wp.clamp(speed / stopped, -1.0, 1.0)
+    return drag * speed + friction * share
+
+
 @wp.kernel(enable_backward=False)
 def _play_rotors(
     # Model:
@@ -39,6 +49,7 @@ def _play_rotors(
     low_in: wp.array[float],
     high_in: wp.array[float],
     spare_in: wp.array[float],
+    traits_in: wp.array[int],
     first_in: int,
     effect_in: int,
     # Out:
@@ -46,9 +57,13 @@ def _play_rotors(
     actuator_gainprm_out: wp.array2d[float],
     actuator_biasprm_out: wp.array2d[float],
     dof_armature_out: wp.array2d[float],
+    dof_damping_out: wp.array2d[float],
+    dof_frictionloss_out: wp.array2d[float],
     qfrc_applied_out: wp.array2d[float],
 ):
     """Backlash: couple or uncouple the rotors for this step, and move those that are free to its end.
+
+    Of the bits of `traits`, 1 puts the joint's damping and friction on the rotor, 2 the servo's encoder on the joint.
 
     `memory` holds for each rotor the end of the play it is at (+1 or -1, 0 in between), its position and speed as seen
     at the joint, and the joint's speed one step ago; NaN where that is not known.
@@ -73,6 +88,11 @@ def _play_rotors(
     inertia = dof_armature_out[worldid, dofid]
     if not inertia > 0.0:
         inertia = spare_in[i]
+    drag = float(0.0)
+    friction = float(0.0)
+    if traits_in[i] & 1 != 0:
+        drag = dof_damping_out[worldid, dofid]
+        friction = dof_frictionloss_out[worldid, dofid]
     acceleration = float(0.0)
     if not wp.isnan(before):
         acceleration = (joint_speed - before) / dt
@@ -93,7 +113,7 @@ def _play_rotors(
             jnt_actfrcrange,
         )
         side = float(1.0)
-        if pull - inertia * acceleration < 0.0:
+        if pull - inertia * acceleration - _resisting(joint_speed, drag, friction, dt / inertia) < 0.0:
             side = float(-1.0)
 
     # free rotors that cross the play nearer to now than to the next step meet the joint, if not on their way back
@@ -110,13 +130,14 @@ def _play_rotors(
     if side != 0.0:
         position = joint + side * half
         speed = joint_speed
+    outer = traits_in[i] & 2 != 0
     torque = _drive_torque(
         worldid,
         a,
         jntid_in[i],
         sent,
-        position,
-        speed,
+        wp.where(outer, joint, position),
+        wp.where(outer, joint_speed, speed),
         kind_in[i],
         actuator_gear,
         actuator_gainprm_out,
@@ -124,7 +145,8 @@ def _play_rotors(
         actuator_forcerange,
         jnt_actfrcrange,
     )
-    if not met and side * (torque - inertia * acceleration) < 0.0:
+    lost = inertia * acceleration + _resisting(speed, drag, friction, dt / inertia)
+    if not met and side * (torque - lost) < 0.0:
         side = float(0.0)
 
     # servos measure the rotor; a free rotor neither drives its joint nor loads it
@@ -132,16 +154,21 @@ def _play_rotors(
     k = 10 * a
     stiffness = float(0.0)
     damping = float(0.0)
-    if kind_in[i] & 2 != 0:
+    if kind_in[i] & 2 != 0 and not outer:
         stiffness = wp.max(-gear * gear * actuator_biasprm_out[worldid, k + 1], 0.0)
         damping = wp.max(-gear * gear * actuator_biasprm_out[worldid, k + 2], 0.0)
         actuator_biasprm_out[worldid, k] += actuator_biasprm_out[worldid, k + 1] * gear * (position - joint)
     if side == 0.0:
         dof_armature_out[worldid, dofid] = 0.0
+        if traits_in[i] & 1 != 0:
+            dof_damping_out[worldid, dofid] = 0.0
+            dof_frictionloss_out[worldid, dofid] = 0.0
         for j in range(10):
             actuator_gainprm_out[worldid, k + j] = 0.0
             actuator_biasprm_out[worldid, k + j] = 0.0
-    speed += dt * (torque - dt * stiffness * speed) / (inertia + dt * (damping + dt * stiffness))
+    whole = inertia + dt * (damping + drag + dt * stiffness)
+    speed += dt * (torque - drag * speed - dt * stiffness * speed) / whole
+    speed -= wp.clamp(speed, -dt * friction / whole, dt * friction / whole)
     if unknown and wp.isnan(before):
         side = wp.nan
     memory_out[worldid, i, 0] = side

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
-from nfpde.kernels import backlash, commands, drives, forces, friction, sensors
+from nfpde.kernels import backlash, commands, drives, forces, friction, gates, sensors
 from nfpde.sim.acting import effect_columns
 
 Array = NDArray[np.float64]
@@ -61,7 +61,9 @@ COMMANDS = {
     "actuation_delay": Launch(commands._delay_commands, ("ctrls",)),
     "actuator_bias": Launch(commands._offset_commands, ("ctrls",)),
     "actuator_lag": Launch(commands._lag_commands, ("ctrls",)),
+    "backlash_command": Launch(gates._play_commands, ("ctrls", "gears")),
     "dead_zone": Launch(drives._cut_commands, ("motors.ctrls", "motors.low", "motors.high")),
+    "dead_zone_gate": Launch(gates._gate_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "observation_delay": Launch(commands._delay_commands, ("ctrls",)),
 }
 """Effects on commands; all kernels have the same other arguments, see `nfpde.kernels.commands`."""
@@ -69,19 +71,29 @@ COMMANDS = {
 _TORQUE = ("actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange")
 _DRIVES = tuple(f"drives.{name}" for name in ("ids", "joints", "qposadr", "dofs", "ctrls", "kind", "low", "high"))
 
+_SERVOS = tuple(f"servos.{name}" for name in ("ids", "qposadr", "ctrls", "low", "high"))
+
+_PLAY = Launch(
+    backlash._play_rotors,
+    (*_DRIVES, "spare", "traits"),
+    ("opt.timestep", "actuator_gear", "actuator_forcerange", "jnt_actfrcrange", "ctrl", "qpos", "qvel"),
+    ("actuator_gainprm", "actuator_biasprm", "dof_armature", "dof_damping", "dof_frictionloss", "qfrc_applied"),
+    memory=4,
+)
+
 STEPS = {
-    "backlash": Launch(
-        backlash._play_rotors,
-        (*_DRIVES, "spare"),
-        ("opt.timestep", "actuator_gear", "actuator_forcerange", "jnt_actfrcrange", "ctrl", "qpos", "qvel"),
-        ("actuator_gainprm", "actuator_biasprm", "dof_armature", "qfrc_applied"),
-        memory=4,
-    ),
+    "backlash": _PLAY,
+    "backlash_geared": _PLAY,
+    "backlash_geared_outer": _PLAY,
+    "backlash_outer": _PLAY,
     "dead_zone": Launch(
-        drives._widen_error,
-        tuple(f"servos.{name}" for name in ("ids", "qposadr", "ctrls", "low", "high")),
-        ("actuator_gear", "actuator_gainprm", "ctrl", "qpos"),
-        ("actuator_biasprm",),
+        drives._widen_error, _SERVOS, ("actuator_gear", "actuator_gainprm", "ctrl", "qpos"), ("actuator_biasprm",)
+    ),
+    "dead_zone_gate": Launch(
+        gates._switch_servos,
+        _SERVOS,
+        ("actuator_gear", "ctrl", "qpos"),
+        ("actuator_gainprm", "actuator_biasprm"),
     ),
     "external_force": Launch(forces._push_bodies, ("ids",), (), ("xfrc_applied",)),
     "joint_spring": Launch(forces._pull_joints, ("dofs", "qposadr"), ("qpos",), ("qfrc_applied",)),
@@ -96,7 +108,11 @@ STEPS = {
 
 SENSORS = {
     "joint_offset": Launch(sensors._offset_positions, ("qposadr", "dofs")),
+    "joint_offset_logged": Launch(sensors._offset_positions, ("qposadr", "dofs")),
     "sensor_scale": Launch(sensors._scale_motion, ("qposadr", "dofs")),
+    "sensor_scale_logged": Launch(sensors._scale_motion, ("qposadr", "dofs")),
+    "sensor_scale_position": Launch(sensors._scale_numbers, ("qposadr",)),
+    "time_scale_counted": Launch(sensors._scale_numbers, ("speeds",)),
 }
 """Effects on what is measured of joints; all kernels have the same other arguments, see `nfpde.kernels.sensors`."""
 

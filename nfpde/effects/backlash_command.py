@@ -1,0 +1,72 @@
+"""Play in what a servo is told."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import mujoco
+import numpy as np
+
+from nfpde.effects.backlash import Backlash
+from nfpde.effects.drive import is_servo
+from nfpde.effects.effect import Array, Bounds, Effect
+from nfpde.effects.registry import register
+from nfpde.effects.scales import DataScales
+from nfpde.errors import BadEffect
+
+_REMEMBERED = 1.0
+"""Time [s] of commands in which most turn round, and so say where in the play they are."""
+
+
+@register
+class BacklashCommand(Effect):
+    """`backlash` as hysteresis of a position servo's command: its aim follows when the command has crossed `width`.
+
+    The play operator of Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989: the aim stays within half the
+    width of the command, and moves no more than that takes. It begins at the first command that is known. `width` is
+    that of the joint: of the command it is as many times as the gear says.
+    """
+
+    name = "backlash_command"
+    says = "backlash"
+    kind = "actuator"
+    quantities = Backlash.quantities
+    threshold = True
+    sentence = "The servo's aim lags behind its command by half a play, to either side."
+    confounders = Backlash.confounders
+
+    gears: Array
+    """Commands for a radian or metre at the joint (k,)."""
+
+    @classmethod
+    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
+        """As for `backlash`, on position servos."""
+        return Backlash.bounds_for(model, element, scales) if element >= 0 and is_servo(model, element) else None
+
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator that is no position servo on a hinge or slide.
+        """
+        bound = super().bind(model)
+        wrong = [int(i) for i in bound.ids if not is_servo(model, int(i))]
+        if wrong:
+            raise BadEffect(f"{self.name} on {self.target!r}: actuator #{wrong[0]} is no position servo; target one")
+        bound.gears = np.abs(model.actuator_gear[bound.ids, 0])
+        return bound
+
+    def memory_time(self) -> float:
+        """As long as it takes most commands to turn round [s]."""
+        return _REMEMBERED
+
+    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
+        """Let the aims follow."""
+        half = 0.5 * values * self.gears
+        out = ctrl.copy()
+        aim = ctrl[:, 0, self.ctrls]
+        for s in range(ctrl.shape[1]):
+            sent = ctrl[:, s, self.ctrls]
+            aim = np.clip(aim, sent - half, sent + half)
+            out[:, s, self.ctrls] = aim
+        return out
