@@ -117,11 +117,32 @@ def test_every_fault_runs_wherever_it_may_sit(name, effect):
     control = controller(robot, bounds[:, 0], bounds[:, 1], rows, rng)
     pilot = pilot_of(sound, [episode(sound, robot, start, control, rows, quiet, 0)])
     target = places[-1]
-    fault = Hidden(effect, target, entry(effect).draw(pilot, robot, target, rng))
-    run = episode(Plant(xml, robot.control_dt, faults=[fault.build()]), robot, start, control, rows, quiet, 0)
-    assert run.stable
-    assert np.isfinite(run.clean_qvel).all()
-    assert json.dumps(fault.values)
+    one = entry(effect)
+    values, seen = one.draw(pilot, robot, target, rng), []
+    assert json.dumps(values)
+    for meant in (one.fault, *(f for f in one.others if f.differs(sound.model, target))):
+        fault = Hidden(effect, target, values, meant)
+        run = episode(Plant(xml, robot.control_dt, faults=[fault.build()]), robot, start, control, rows, quiet, 0)
+        assert run.stable
+        assert np.isfinite(run.clean_qvel).all()
+        seen.append(np.hstack([run.clean_qpos, run.clean_qvel]))
+    if effect != "dead_zone":  # within whose zone a short motion may stay
+        assert all(np.abs(a - b).max() > 0 for i, a in enumerate(seen) for b in seen[:i]), "two readings are one"
+
+
+def test_half_of_the_systems_have_another_reading_where_there_is_one():
+    """Of 400 draws within five standard errors of half, and no reading where it makes no difference."""
+    model = mujoco.MjModel.from_xml_path(str(ROBOTS["servo4"].path))
+    one, rng = entry("sensor_scale"), np.random.default_rng(0)
+    joint = one.places(model, ROBOTS["servo4"])[0]
+    drawn = [one.read(model, joint, rng) for _ in range(400)]
+    assert 150 < drawn.count(one.fault) < 250
+    assert set(drawn) == {one.fault, *one.others}
+    motors = mujoco.MjModel.from_xml_path(str(ROBOTS["arm3"].path))
+    strength = entry("motor_strength")
+    driven = strength.places(motors, ROBOTS["arm3"])[0]
+    differs = [f for f in strength.others if f.differs(motors, driven)]
+    assert {strength.read(motors, driven, rng) for _ in range(50)} == {strength.fault, *differs}
 
 
 @pytest.mark.parametrize("signal", SIGNALS)

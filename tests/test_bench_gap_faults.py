@@ -295,3 +295,45 @@ def test_a_wrong_clock_lets_more_time_pass():
     """A cart at 1 m/s is further by the ratio; its speed is the true one."""
     seen = moved(SLIDER, sensors.WrongClock("all", {"ratio": 1.05}), None, 100, qvel=1.0)
     assert seen[-1].tolist() == pytest.approx([1.05, 1.0], abs=1e-9)
+
+
+def test_readings_of_the_encoder_leave_the_servo_alone():
+    """The robot moves as without a fault; the log shows the angle shifted or scaled, speeds scaled or right."""
+    zero = Plant(SERVO, DT, faults=[sensors.LoggedZero("elbow", {"offset": 0.2})])
+    both = Plant(SERVO, DT, faults=[sensors.LoggedScale("elbow", {"scale": 1.3})])
+    angle = Plant(SERVO, DT, faults=[sensors.LoggedPositionScale("elbow", {"scale": 1.3})])
+    clock = Plant(SERVO, DT, faults=[sensors.CountingClock("all", {"ratio": 1.1})])
+    sound, slow = Plant(SERVO, DT), Plant(SERVO, DT, faults=[sensors.WrongClock("all", {"ratio": 1.1})])
+    qpos, qvel = np.array([0.1]), np.array([0.3])
+    for plant in (zero, both, angle, clock, sound, slow):
+        plant.begin(qpos, qvel, np.array([0.4]))
+        for _ in range(20):
+            plant.advance(np.array([0.4]))
+    q, v = sound.data.qpos[0], sound.data.qvel[0]
+
+    def shown(plant):
+        found = plant.faults[0].observe(plant, plant.data.qpos, plant.data.qvel)
+        return found[0][0], found[1][0]
+
+    assert shown(zero) == pytest.approx((q + 0.2, v), abs=1e-12)
+    assert shown(both) == pytest.approx((1.3 * q, 1.3 * v), abs=1e-12)
+    assert shown(angle) == pytest.approx((1.3 * q, v), abs=1e-12)
+    assert shown(clock) == pytest.approx((slow.data.qpos[0], 1.1 * slow.data.qvel[0]), abs=1e-12)
+
+
+def test_a_gate_passes_what_is_large_as_it_is():
+    """Within the zone the cart stays; beyond it the whole force acts."""
+    small = moved(SLIDER, commands.Gate("motor", {"half_width": 0.3}), 0.29, 30)
+    large = moved(SLIDER, commands.Gate("motor", {"half_width": 0.3}), 0.31, 30)
+    assert np.abs(small).max() == 0
+    assert large[-1, 1] == pytest.approx(0.31 * GEAR / MASS * 0.3, abs=1e-9)
+
+
+def test_a_servo_that_aims_short_comes_to_a_share_of_its_command():
+    """Without gravity it rests at scale times the command; a weak one at the command."""
+    xml = SERVO.replace("<option", '<option gravity="0 0 0"', 1)
+    assert "gravity" in xml
+    short = moved(xml, drives.AimedShort("servo", {"scale": 0.8}), 0.5, 400)
+    weak = moved(xml, drives.Strength("servo", {"scale": 0.8}), 0.5, 400)
+    assert short[-1, 0] == pytest.approx(0.4, abs=1e-6)
+    assert weak[-1, 0] == pytest.approx(0.5, abs=1e-6)

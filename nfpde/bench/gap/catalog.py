@@ -30,12 +30,21 @@ class Entry:
         places: targets that it may have on a robot.
         draw: random true values.
         family: effects of one family are never paired: their traces are alike.
+        others: what else engineers mean by the name.
     """
 
     fault: type[Fault]
     places: Places
     draw: Draw
     family: str
+    others: tuple[type[Fault], ...] = ()
+
+    def read(self, model: mujoco.MjModel, target: str, rng: Rng) -> type[Fault]:
+        """The fault in one of its readings, half of the time the plain one."""
+        others = [fault for fault in self.others if fault.differs(model, target)]
+        if not others or rng.random() < 0.5:
+            return self.fault
+        return others[int(rng.integers(len(others)))]
 
 
 def spread(rng: Rng, low: float, high: float) -> float:
@@ -228,7 +237,11 @@ EFFECTS: dict[str, Entry] = {
         commands.Lag, actuators_or_all, lambda p, r, t, g: {"time_constant": spread(g, 0.3, 6) * r.control_dt}, "timing"
     ),
     "motor_strength": Entry(
-        drives.Strength, actuators, lambda p, r, t, g: {"scale": 1 + signed(g, 0.03, 0.35)}, "drive"
+        drives.Strength,
+        actuators,
+        lambda p, r, t, g: {"scale": 1 + signed(g, 0.03, 0.35)},
+        "drive",
+        (drives.AimedShort,),
     ),
     "actuator_bias": Entry(
         commands.Bias, actuators, lambda p, r, t, g: {"offset": _command(p, t) * signed(g, 0.02, 0.4)}, "offset"
@@ -240,12 +253,14 @@ EFFECTS: dict[str, Entry] = {
         of_kind("torque", "velocity"),
         lambda p, r, t, g: {"half_width": _command(p, t) * spread(g, 0.03, 0.5)},
         "gap",
+        (commands.Gate,),
     ),
     "backlash": Entry(
         drives.GearPlay,
         geared,
         lambda p, r, t, g: {"width": min(float(p.position[_dof(p, t)]), 0.6) * spread(g, 0.01, 0.2)},
         "gap",
+        (drives.DraggedGearPlay,),
     ),
     "servo_gain": Entry(drives.ServoGain, of_kind("position", "velocity"), _servo_gain, "drive"),
     "coulomb_friction": Entry(
@@ -267,10 +282,18 @@ EFFECTS: dict[str, Entry] = {
         "inertia",
     ),
     "joint_offset": Entry(
-        sensors.EncoderZero, swinging, lambda p, r, t, g: {"offset": signed(g, 0.01, 0.15)}, "offset"
+        sensors.EncoderZero,
+        swinging,
+        lambda p, r, t, g: {"offset": signed(g, 0.01, 0.15)},
+        "offset",
+        (sensors.LoggedZero,),
     ),
     "sensor_scale": Entry(
-        sensors.EncoderScale, hinges, lambda p, r, t, g: {"scale": 1 + signed(g, 0.01, 0.15)}, "sensor"
+        sensors.EncoderScale,
+        hinges,
+        lambda p, r, t, g: {"scale": 1 + signed(g, 0.01, 0.15)},
+        "sensor",
+        (sensors.LoggedScale, sensors.LoggedPositionScale),
     ),
     "payload": Entry(bodies.Payload, moving_bodies, _payload, "inertia"),
     "com_shift": Entry(bodies.MassMoved, moving_bodies, _shift, "inertia"),
@@ -293,7 +316,11 @@ EFFECTS: dict[str, Entry] = {
     "ground_height": Entry(world.Raised, ground, lambda p, r, t, g: {"height": signed(g, 0.001, 0.02)}, "ground"),
     "observation_delay": Entry(sensors.LateReading, only("all"), _delay, "timing"),
     "time_scale": Entry(
-        sensors.WrongClock, only("all"), lambda p, r, t, g: {"ratio": 1 + signed(g, 0.004, 0.1)}, "timing"
+        sensors.WrongClock,
+        only("all"),
+        lambda p, r, t, g: {"ratio": 1 + signed(g, 0.004, 0.1)},
+        "timing",
+        (sensors.CountingClock,),
     ),
 }
 """The vocabulary of the diagnosis."""

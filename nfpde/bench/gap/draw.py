@@ -41,15 +41,21 @@ CONFLICTS = ({"gap", "limit"}, {"gap", "friction"}, {"gap", "drive"})
 
 @dataclass(frozen=True)
 class Hidden:
-    """A fault before it is built: name in the vocabulary or among the outsiders, place, true values."""
+    """A fault before it is built: name in the vocabulary or among the outsiders, place, values, and how it is meant."""
 
     effect: str
     target: str
     values: Values
+    fault: type[Fault] | None = None
+
+    @property
+    def meant(self) -> type[Fault]:
+        """What does it: the plain reading where none was chosen."""
+        return self.fault or entry(self.effect).fault
 
     def build(self) -> Fault:
         """A fresh fault."""
-        return entry(self.effect).fault(self.target, self.values)
+        return self.meant(self.target, self.values)
 
 
 @dataclass(frozen=True)
@@ -116,8 +122,14 @@ def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System |
     seed = int(rng.integers(2**31))
     quiet = Noise(np.zeros(sound.model.nv), np.zeros(sound.model.nv))
     pilot = pilot_of(sound, _record(sound, robot, seed, quiet, most=4))
+    (meaning,) = rng.spawn(1)
     hidden = [
-        Hidden(effect, target, entry(effect).draw(pilot, robot, target, rng))
+        Hidden(
+            effect,
+            target,
+            entry(effect).draw(pilot, robot, target, rng),
+            entry(effect).read(blank.model, target, meaning),
+        )
         for effect, target in zip(effects, targets, strict=True)
     ]
     noise = _noise(sound, pilot, rng)
@@ -125,7 +137,7 @@ def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System |
     runs = _record(truth, robot, seed, noise)
     if not all(run.stable and np.abs(run.clean_qvel).max() < 100 for run in runs):
         return None
-    faults = [FaultKey(h.effect, h.target, h.values, entry(h.effect).fault) for h in hidden]
+    faults = [FaultKey(h.effect, h.target, h.values, h.meant) for h in hidden]
     key = measure(xml, robot, free, faults, truth, runs, rng)
     if any(fault["size"] < SMALLEST for fault in key["faults"]):
         return None

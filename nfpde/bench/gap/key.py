@@ -86,6 +86,7 @@ def measure(
             {
                 "effect": fault.effect,
                 "target": fault.target,
+                "reading": fault.fault.reading,
                 "values": fault.values,
                 "scales": scales(fault.values),
                 "size": sizes.size(errors, spread, answers),

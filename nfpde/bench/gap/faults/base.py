@@ -34,6 +34,14 @@ class Fault:
     distorts: ClassVar[bool] = False
     """Whether the sensors show something else than the robot's state."""
 
+    reading: ClassVar[str] = ""
+    """How the name is meant, where engineers mean different things by it; "" for the plain way."""
+
+    @classmethod
+    def differs(cls, model: mujoco.MjModel, target: str) -> bool:
+        """Whether that makes a difference at a target."""
+        return True
+
     def build(self, spec: mujoco.MjSpec) -> None:
         """Change the robot's construction before it is compiled."""
 

@@ -89,3 +89,16 @@ class DeadZone(Fault):
         out, which = ctrl.copy(), _channels(plant, self.target)
         out[which] = np.sign(out[which]) * np.maximum(np.abs(out[which]) - self.values["half_width"], 0)
         return out
+
+
+class Gate(DeadZone):
+    """Small commands do nothing, larger ones pass as they are."""
+
+    reading = "gate"
+
+    def command(self, plant: Plant, ctrl: Array) -> Array:
+        """Hold small ones back."""
+        out, which = ctrl.copy(), _channels(plant, self.target)
+        passes = np.abs(out[which]) > self.values["half_width"]
+        out[which] = np.where(passes, out[which], 0.0)
+        return out

@@ -23,6 +23,21 @@ class Strength(Fault):
         model.actuator_biasprm[i] *= self.values["scale"]
 
 
+class AimedShort(Strength):
+    """The servo takes a share of its command for its aim: a setpoint in another unit."""
+
+    reading = "command"
+
+    @classmethod
+    def differs(cls, model: mujoco.MjModel, target: str) -> bool:
+        """Where there is feedback that stays."""
+        return kind_of(model, model.actuator(target).id) != "torque"
+
+    def alter(self, model: mujoco.MjModel) -> None:
+        """Scale the torque per command."""
+        model.actuator_gainprm[model.actuator(self.target).id, 0] *= self.values["scale"]
+
+
 class ServoGain(Fault):
     """The servo's firmware runs with other gains than documented."""
 
@@ -86,6 +101,11 @@ class GearPlay(Fault):
         model.actuator_biasprm[i] = 0
         model.dof_armature[dof] *= 0.1
         self._actuator, self._qpos, self._dof = i, model.jnt_qposadr[joint], dof
+        self._drag = self._taken_along(model, int(dof))
+
+    def _taken_along(self, model: mujoco.MjModel, dof: int) -> float:
+        """Damping that goes with the rotor: none, the bearing is the joint's."""
+        return 0.0
 
     def begin(self, plant: Plant, ctrl: Array) -> None:
         """The rotor stands in the middle of the play."""
@@ -108,7 +128,7 @@ class GearPlay(Fault):
             drive = self._gain * data.ctrl[self._actuator] + self._bias[0]
             drive += self._gear * (self._bias[1] * angle + self._bias[2] * speed)
             tooth = self._tooth(angle - q, speed - v)
-            speed += dt * (self._gear * drive - tooth) / self._rotor
+            speed += dt * (self._gear * drive - tooth - self._drag * speed) / self._rotor
             angle += dt * speed
             q += dt * v
             total += tooth
@@ -129,3 +149,19 @@ class GearPlay(Fault):
         """The rotor moves along, so that a measurement error does not bend the teeth."""
         self.memory["angle"] += float(dq[self._dof])
         self.memory["speed"] += float(dv[self._dof])
+
+
+class DraggedGearPlay(GearPlay):
+    """The same with the joint's damping in the gearbox, on the motor's side of the play."""
+
+    reading = "damping in the gearbox"
+
+    @classmethod
+    def differs(cls, model: mujoco.MjModel, target: str) -> bool:
+        """Where there is damping."""
+        return bool(model.dof_damping[model.jnt_dofadr[joint_of(model, target)]] > 0)
+
+    def _taken_along(self, model: mujoco.MjModel, dof: int) -> float:
+        drag = float(model.dof_damping[dof])
+        model.dof_damping[dof] = 0
+        return drag

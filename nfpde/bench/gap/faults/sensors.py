@@ -50,6 +50,49 @@ class EncoderScale(Fault):
         return qpos, qvel
 
 
+class LoggedZero(EncoderZero):
+    """The log alone is off: the servo reads another encoder, or the log was shifted afterwards."""
+
+    reading = "log"
+
+    @classmethod
+    def differs(cls, model: mujoco.MjModel, target: str) -> bool:
+        """Where a servo reads the joint."""
+        return bool(_servos(model, target))
+
+    def alter(self, model: mujoco.MjModel) -> None:
+        """Nothing."""
+
+
+class LoggedScale(EncoderScale):
+    """The log alone is scaled."""
+
+    reading = "log"
+
+    @classmethod
+    def differs(cls, model: mujoco.MjModel, target: str) -> bool:
+        """Where a servo reads the joint."""
+        return bool(_servos(model, target))
+
+    def alter(self, model: mujoco.MjModel) -> None:
+        """Nothing."""
+
+
+class LoggedPositionScale(EncoderScale):
+    """The angles in the log alone are scaled; its speeds come from elsewhere, and are right."""
+
+    reading = "positions in the log"
+
+    def alter(self, model: mujoco.MjModel) -> None:
+        """Nothing."""
+
+    def observe(self, plant: Plant, qpos: Array, qvel: Array) -> tuple[Array, Array]:
+        """Scale the angle."""
+        qpos = qpos.copy()
+        qpos[plant.model.joint(self.target).qposadr[0]] *= self.values["scale"]
+        return qpos, qvel
+
+
 class LateReading(Fault):
     """All readings are `delay` old when they are written down."""
 
@@ -94,6 +137,17 @@ class WrongClock(Fault):
     def alter(self, model: mujoco.MjModel) -> None:
         """Let every physics step take so much longer."""
         model.opt.timestep *= self.values["ratio"]
+
+
+class CountingClock(WrongClock):
+    """The same clock, and speeds that were taken from the angles with its time stamps."""
+
+    distorts = True
+    reading = "speeds by the same clock"
+
+    def observe(self, plant: Plant, qpos: Array, qvel: Array) -> tuple[Array, Array]:
+        """More seconds passed than were counted, so speeds look higher."""
+        return qpos, qvel * self.values["ratio"]
 
 
 def _servos(model: mujoco.MjModel, joint: str) -> list[int]:
