@@ -1,14 +1,26 @@
 """Other readings of effects, where engineers mean different things by one name."""
 
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from gymnasium.envs.mujoco import MujocoEnv
 
 from nfpde import diagnose_gap
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import DataScales, effect, effect_names
 from nfpde.effects.registry import _REGISTRY
 from nfpde.errors import BadEffect
+from nfpde.gap.accepted import simplest_first
+from nfpde.gap.refit import among_readings
+from nfpde.gap.trial import Trial
+from nfpde.parameters import ParameterSpace
+from nfpde.rl import RandomizedParameters
 from nfpde.sim import MujocoSimulator
 from tests.effect_checks import SERVO_ARM, make, neutral_does_nothing, predict, rows_are_apart, same_as
 from tests.models import load, make_windows, plain_rollout, record, with_arrays
@@ -100,6 +112,53 @@ def test_play_of_a_command():
     np.testing.assert_allclose(aim, [0.0, 0.0, 0.1, 0.3, 0.3, 0.3, 0.3, 0.3, -0.2], atol=1e-15)
     with pytest.raises(BadEffect, match="actuator #2 is no position servo"):
         effect("backlash_command", "wrist_motor", width=(0, 1)).bind(load(xml))
+    counted = load(SERVO_ARM)  # a servo whose command is in half radians
+    counted.actuator_gainprm[0, 0] *= 0.5
+    bound = effect("backlash_command", "shoulder_servo", width=(0, 1)).bind(counted)
+    np.testing.assert_allclose(bound.command(ctrl, np.array([[0.2]]), 0.002)[0, :, 0], aim, atol=1e-15)
+
+
+def test_what_readings_cannot_act_on_is_refused():
+    """A motor has no feedback that stays; an environment keeps no commands of any age."""
+    for name in ("motor_strength_command", "motor_strength_gear"):
+        with pytest.raises(BadEffect, match="actuator #2 is no position or velocity servo"):
+            make(name, "wrist_motor", scale=(0, 2))
+
+    class Env(MujocoEnv):
+        """An arm of servos."""
+
+        def __init__(self, path):
+            super().__init__(str(path), 4, gymnasium.spaces.Box(-9, 9, (6,)))
+
+        def reset_model(self):
+            return np.concatenate([self.data.qpos, self.data.qvel])
+
+    play = effect("backlash_command", "shoulder_servo", width=(0, 0.3))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.xml"
+        path.write_text(SERVO_ARM)
+        Env.metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 125}
+        with pytest.raises(BadEffect, match="remembers commands of any age"):
+            RandomizedParameters(Env(path), [[0.1]], ParameterSpace(play.parameters))
+
+
+def test_places_are_for_names_and_of_equal_readings_the_plain_one_is_named():
+    """Three readings of one name at most, which take no place of another's; ties go by the name's best, then plain."""
+    bounds = {"backlash": {"width": (0, 1)}, "armature": {"inertia": (0, 1)}, "coulomb_friction": {"torque": (0, 1)}}
+    names = ["backlash_geared", "backlash", "backlash_outer", "backlash_geared_outer", "armature", "coulomb_friction"]
+    where = {"backlash": "shoulder_servo"}
+    effects = [
+        effect(n, where.get(_REGISTRY[n].says or n, "shoulder"), **bounds[_REGISTRY[n].says or n]) for n in names
+    ]
+    assert among_readings(effects, 1) == [0, 1, 2]
+    assert among_readings(effects, 2) == [0, 1, 2, 4]
+    assert among_readings(effects, 9) == [0, 1, 2, 4, 5]
+
+    def trial(number, density):
+        return cast(Trial, SimpleNamespace(effect=effects[number], density=np.full(5, density)))
+
+    geared, plain, other = trial(0, 3.0), trial(1, 2.5), trial(4, 2.8)
+    assert simplest_first([other, plain, geared]) == [plain, geared, other]
 
 
 @pytest.mark.parametrize("servo", ["shoulder_servo", "elbow_servo"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nfpde import MujocoSimulator, diagnose_gap, effect
+from nfpde.errors import BadParameter
 from nfpde.gap.inertia import NAME, inertia_of
 from nfpde.gap.replay import Replay
 from nfpde.parameters import Parameter, ParameterSpace
@@ -40,9 +41,35 @@ def test_it_stands_beside_free_masses_that_take_their_inertia_along_only():
         assert Replay(nominal(), space, []).nbase == (0 if space is None else 1)
     both = ParameterSpace([damping, MASS, Parameter("body_mass", "upper", low=0.5, high=2.0, relative=True)])
     replay = Replay(nominal(), both, [effect("armature", "elbow", inertia=(0, 1))])
-    assert replay.nbase == 4
-    assert [p.name for p in replay.parameters] == [*both.names, f"{NAME}:upper+fore", "armature.inertia:elbow"]
-    assert replay.sim.nominal()[3] == 1.0
+    assert replay.nbase == 5
+    shares = [f"{NAME}:fore", f"{NAME}:upper"]
+    assert [p.name for p in replay.parameters] == [*both.names, *shares, "armature.inertia:elbow"]
+    np.testing.assert_array_equal(replay.sim.nominal()[3:5], 1.0)
+
+
+def test_what_weighs_nothing_is_refused_as_before():
+    """A mass of zero has no inertia, whatever else is asked."""
+    space = ParameterSpace([Parameter("body_mass", "fore", low=0.0, high=1.6)])
+    with pytest.raises(BadParameter):
+        MujocoSimulator(nominal(), space)
+    with pytest.raises(BadParameter):
+        Replay(nominal(), space, [])
+
+
+def test_every_mass_has_a_share_of_its_own():
+    """Of two bodies one is of other material, the other carries a load in its centre: no effect is there."""
+
+    def change(model):
+        heavier(model, follows=False)
+        upper = model.body("upper").id
+        model.body_mass[upper] *= 1.3
+        model.body_inertia[upper] *= 1.3
+
+    masses = ParameterSpace([MASS, Parameter("body_mass", "upper", low=0.8, high=2.5)])
+    found = diagnose_gap(nominal(), record(change, noise=1e-3, seed=6), masses)
+    assert found.verdict == "no_gap"
+    assert found.effects == []
+    assert found.base[SHARE].high < 0.5
 
 
 @pytest.mark.parametrize("follows", [True, False])

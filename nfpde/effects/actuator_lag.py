@@ -31,8 +31,8 @@ class ActuatorLag(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """Up to 0.3 seconds (propellers, valves) or five control steps, on one actuator or all."""
-        return {"time_constant": (0.0, max(0.3, 5 * scales.control_dt))}
+        """Up to 0.2 seconds (propellers, valves) or five control steps, on one actuator or all."""
+        return {"time_constant": (0.0, max(0.2, 5 * scales.control_dt))}
 
     def memory_time(self) -> float:
         """Five of the longest time constants [s]."""

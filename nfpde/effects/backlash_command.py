@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from nfpde.effects.backlash import Backlash
-from nfpde.effects.drive import is_servo
+from nfpde.effects.drive import Drives, is_servo
 from nfpde.effects.effect import Array, Bounds, Effect
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
@@ -23,8 +23,11 @@ class BacklashCommand(Effect):
     """`backlash` as hysteresis of a position servo's command: its aim follows when the command has crossed `width`.
 
     The play operator of Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989: the aim stays within half the
-    width of the command, and moves no more than that takes. It begins at the first command that is known. `width` is
-    that of the joint: of the command it is as many times as the gear says.
+    width of the command, and moves no more than that takes. `width` is that of the joint: of the command it is as many
+    times as the nominal servo counts a radian or metre there. Commands are clamped to ctrlrange before.
+
+    Play forgets nothing, commands are known for a second: the aim begins at the first of them, which is wrong where
+    they had turned round just before and rest since. In an environment it would drift so; it is refused there.
     """
 
     name = "backlash_command"
@@ -35,8 +38,12 @@ class BacklashCommand(Effect):
     sentence = "The servo's aim lags behind its command by half a play, to either side."
     confounders = Backlash.confounders
 
+    live = False
+
+    drives: Drives
     gears: Array
     """Commands for a radian or metre at the joint (k,)."""
+    model: mujoco.MjModel
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -53,7 +60,10 @@ class BacklashCommand(Effect):
         wrong = [int(i) for i in bound.ids if not is_servo(model, int(i))]
         if wrong:
             raise BadEffect(f"{self.name} on {self.target!r}: actuator #{wrong[0]} is no position servo; target one")
-        bound.gears = np.abs(model.actuator_gear[bound.ids, 0])
+        bound.drives = Drives.of(model, bound.ids, f"{self.name} on {self.target!r}")
+        gain, feedback = model.actuator_gainprm[bound.ids, 0], model.actuator_biasprm[bound.ids, 1]
+        bound.gears = np.abs(model.actuator_gear[bound.ids, 0] * feedback / np.where(gain == 0, np.inf, gain))
+        bound.model = model
         return bound
 
     def memory_time(self) -> float:
@@ -64,9 +74,9 @@ class BacklashCommand(Effect):
         """Let the aims follow."""
         half = 0.5 * values * self.gears
         out = ctrl.copy()
-        aim = ctrl[:, 0, self.ctrls]
+        every = self.drives.clamped(self.model, ctrl[:, :, self.ctrls])
+        aim = every[:, 0]
         for s in range(ctrl.shape[1]):
-            sent = ctrl[:, s, self.ctrls]
-            aim = np.clip(aim, sent - half, sent + half)
+            aim = np.clip(aim, every[:, s] - half, every[:, s] + half)
             out[:, s, self.ctrls] = aim
         return out

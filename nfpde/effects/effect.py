@@ -107,6 +107,8 @@ class Effect:
     """`write_model` of lower ones runs first: what builds on fields that others change is 1."""
     sentence: ClassVar[str]
     """What it is, for a roboticist."""
+    live: ClassVar[bool] = True
+    """Whether it can act in an environment, where what it remembers of commands begins anew every step."""
     says: ClassVar[str] = ""
     """The effect that this is another reading of, where engineers mean different things by one name; "" for none."""
     confounders: ClassVar[tuple[str, ...]] = ()

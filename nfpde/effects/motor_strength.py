@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import mujoco
 import numpy as np
@@ -19,6 +19,8 @@ _PID, _MUSCLE_GAIN, _MUSCLE_BIAS = int(_GAIN.mjGAIN_PID), int(_GAIN.mjGAIN_MUSCL
 _GAINS = (int(_GAIN.mjGAIN_FIXED), int(_GAIN.mjGAIN_AFFINE), int(_GAIN.mjGAIN_SO3), _PID, _MUSCLE_GAIN)
 _BIASES = (int(_BIAS.mjBIAS_NONE), int(_BIAS.mjBIAS_AFFINE), int(_BIAS.mjBIAS_SO3), _MUSCLE_BIAS)
 """Gains and biases that are proportional to their parameters; of a muscle, to those of `_PEAK`."""
+
+Bound = TypeVar("Bound", bound=Effect)
 
 _PEAK = slice(2, 4)
 """A muscle's `force` and `scale`: its peak force is the one, or follows from the other where that is negative."""
@@ -88,6 +90,14 @@ class MotorStrengthCommand(MotorStrength):
         """As for `motor_strength`, on position and velocity servos."""
         return super().bounds_for(model, element, scales) if _feeds_back(model, element) else None
 
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator that is no position or velocity servo.
+        """
+        return _servos_only(super().bind(model), model)
+
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Scale the gain."""
         model.actuator_gainprm[self.ids] *= values[0]
@@ -106,9 +116,28 @@ class MotorStrengthGear(MotorStrength):
         """As for `motor_strength`, on position and velocity servos."""
         return super().bounds_for(model, element, scales) if _feeds_back(model, element) else None
 
+    def bind(self, model: mujoco.MjModel) -> Self:
+        """See `Effect.bind`.
+
+        Raises:
+            BadEffect: an actuator that is no position or velocity servo.
+        """
+        return _servos_only(super().bind(model), model)
+
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Scale the gear."""
         model.actuator_gear[self.ids] *= values[0]
+
+
+def _servos_only(bound: Bound, model: mujoco.MjModel) -> Bound:
+    """The bound effect, where all its actuators are servos."""
+    wrong = [int(i) for i in bound.ids if not _feeds_back(model, int(i))]
+    if wrong:
+        raise BadEffect(
+            f"{bound.name} on {bound.target!r}: actuator #{wrong[0]} is no position or velocity servo; take "
+            "motor_strength"
+        )
+    return bound
 
 
 def _feeds_back(model: mujoco.MjModel, actuator: int) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.accepted import Accepted, parameter_count
+from nfpde.gap.accepted import Accepted, simplest_first
 from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.far import Far
 from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, near_floor, shrink_interval
@@ -99,8 +99,7 @@ class Acceptance(Rounds):
             if self._equal(gap, best, trial, untold):
                 equal.append(trial)
         # within the standard error of the best, the one with fewest parameters, if it explains the same
-        alike = (t for t in near if t in gains and t in equal)
-        simplest = sorted(alike, key=lambda t: (parameter_count(t), -t.density.mean()))
+        simplest = simplest_first([t for t in near if t in gains and t in equal])
         chosen = next(t for t in simplest if t is best or stands(t))
         if chosen.effect is None:
             return None

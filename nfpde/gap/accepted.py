@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from nfpde.effects import Effect
@@ -45,3 +47,16 @@ def called(effect: Effect) -> tuple[str, str]:
 def parameter_count(trial: Trial) -> int:
     """Parameters that a trial's effect adds."""
     return len(trial.effect.parameters) if trial.effect is not None else 0
+
+
+def simplest_first(alike: Sequence[Trial]) -> list[Trial]:
+    """Trials that do equally well: fewest parameters first, then most held-out density, of readings the plain one."""
+    density = dict[tuple[str, str] | None, float]()
+    names = [None if t.effect is None else called(t.effect) for t in alike]
+    for name, trial in zip(names, alike, strict=True):
+        density[name] = max(density.get(name, -math.inf), float(trial.density.mean()))
+    keys = [
+        (parameter_count(t), -density[name], bool(t.effect and t.effect.says), -float(t.density.mean()))
+        for name, t in zip(names, alike, strict=True)
+    ]
+    return [alike[i] for i in sorted(range(len(alike)), key=keys.__getitem__)]

@@ -298,7 +298,9 @@ def _causes(outcome: Outcome) -> list[Cause]:
             names, fit = (_called(own), _called(others[0])), rivals[others[0]].fit
             text = separating_experiment(accepted.trial.fit, fit, outcome.recordings.held, outcome.sigma, names)
         others = [Rival(*name) for name in others]
-        out.append(replace(cause, indistinguishable=others, separating_experiment=text))
+        readings = [t.effect.name for t in accepted.rivals if t.effect is not None and called(t.effect) == own]
+        cause = replace(cause, indistinguishable=others, separating_experiment=text, other_readings=readings)
+        out.append(cause)
     return sorted(out, key=lambda c: -c.shrink)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from nfpde.gap.accepted import Accepted, key
+from nfpde.gap.accepted import Accepted, called
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.trial import APART, LEVEL, Trial
 
@@ -53,9 +53,9 @@ def other_beginnings(selection: Selection, base: Trial, final: Trial, accepted: 
     far = selection.gap_of(final) > FAR * float(selection.yardstick.floor.mean()) and not selection.at_floor(final)
     if not far and len(accepted) < MOST_EFFECTS:
         return []
-    gap, taken = selection.gap_of(base), {key(a.effect) for a in accepted}
+    gap, taken = selection.gap_of(base), {called(a.effect) for a in accepted}
     least = WORTHWHILE * max((gap - selection.gap_of(t) for t in selection.ranking), default=0.0)
-    left = [t for t in selection.ranking if t.effect is not None and key(t.effect) not in taken]
+    left = [t for t in selection.ranking if t.effect is not None and called(t.effect) not in taken]
     left, out = [t for t in left if gap - selection.gap_of(t) >= least], list[Accepted]()
     while left and len(out) < OTHERS:
         found = selection.accept(base, left, gap)

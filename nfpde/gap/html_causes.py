@@ -101,8 +101,9 @@ def ranking(report: GapReport) -> str:
 
 
 def _name(c: Cause, note: str) -> str:
+    reading = f" (as {text(c.reading)})" if c.reading else ""
     return (
-        f"<b>{text(called(c.effect, c.target))}</b><br><span class='small'>{note}</span><br>"
+        f"<b>{text(called(c.effect, c.target))}</b>{reading}<br><span class='small'>{note}</span><br>"
         f"<span class='small soft'>{text(c.sentence)}</span>"
     )
 

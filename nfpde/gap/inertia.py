@@ -45,17 +45,15 @@ class Inertia(Effect):
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Let the inertia follow in part, where a mass that is written took it along."""
         ratio = model.body_mass[self.ids] / self.mass
-        model.body_inertia[self.ids] = self.inertia * (ratio ** float(values[0]))[:, None]
+        follows = np.where(ratio > 0, ratio ** float(values[0]), 0.0)  # what weighs nothing has no inertia either
+        model.body_inertia[self.ids] = self.inertia * follows[:, None]
 
 
 def inertia_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Effect]:
-    """The effect on all bodies whose masses are free and scale their inertias; none where there are no such bodies."""
+    """The effect on the bodies of every free mass that scales their inertias, one for each mass."""
     masses = [p for p in space or () if p.field == "body_mass" and p.scale_inertia]
-    if not masses:
-        return []
-    bodies = np.concatenate([np.atleast_1d(slot.index[0]) for slot in slots_of(model, masses)])
     names = element_names(model, "body")
-    return [Inertia(tuple(names[b] for b in np.unique(bodies)))]
+    return [Inertia(tuple(names[b] for b in np.atleast_1d(slot.index[0]))) for slot in slots_of(model, masses)]
 
 
 def follows(parameter: Parameter) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
+from nfpde.gap.accepted import called
 from nfpde.gap.chart import all_over
 from nfpde.gap.fit import Fit
 from nfpde.gap.noise import Scatter
@@ -36,6 +38,9 @@ STEPS = (0.3, 0.1)
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
+READINGS = 3
+"""Readings of one effect that are refitted, at most: those that screening likes best."""
+
 FIRST, SECOND = (8, 14), (4, 6)
 """Candidates refitted roughly, and to the end: in smooth motion, and beside contacts, where slopes foretell little and
 a candidate that screening likes less may turn out the best."""
@@ -57,7 +62,8 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened], *, touches: boo
         if gain > LEAST_GAIN:
             found.append((gain, s, fits[best]))
     found.sort(key=lambda one: -one[0])
-    close = [(s, refitting.closer(fit)) for _, s, fit in found[: SECOND[touches]]]
+    first = among_readings([s.effect for _, s, _ in found], SECOND[touches])
+    close = [(s, refitting.closer(fit)) for _, s, fit in (found[i] for i in first)]
     most = max((base.cost - fit.cost for _, fit in close), default=0.0)
     trials = []
     for s, fit in close:
@@ -72,8 +78,26 @@ def _hopeful(screened: Sequence[Screened], count: int) -> list[Screened]:
 
     A floor that is higher than in the model is never touched there within a short window.
     """
-    enough = [s for s in screened[:count] if s.share >= SHARE]
+    some = [screened[i] for i in among_readings([s.effect for s in screened], count)]
+    enough = [s for s in some if s.share >= SHARE]
     return enough + [s for s in screened if s.effect.whole == "contact" and s not in enough]
+
+
+def among_readings(effects: Sequence[Effect], count: int) -> list[int]:
+    """The first so many of some effects, of each `READINGS` at most, in order: no name takes the place of others."""
+    taken, named = Counter[tuple[str, str]](), list[int]()
+    for i, effect in enumerate(effects):
+        taken[called(effect)] += 1
+        if taken[called(effect)] <= READINGS:
+            named.append(i)
+    # readings take places of their own, as many as there are names
+    names, kept = set[tuple[str, str]](), list[int]()
+    for i in named:
+        names.add(called(effects[i]))
+        if len(names) > count:
+            break
+        kept.append(i)
+    return kept
 
 
 class Refitting:

@@ -53,7 +53,7 @@ class Replay:
 
     Args:
         model: The nominal model.
-        space: The free parameters; None: there are none. Where masses are among them, one more is free: how far the
+        space: The free parameters; None: there are none. For each mass among them one more is free: how far its
             bodies' inertias follow (`Inertia`).
         effects: The effects.
         nthread: Threads; 0 takes all cores this process may use.

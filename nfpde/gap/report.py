@@ -54,6 +54,7 @@ class Cause:
         separating_experiment: What to record to tell them apart; "" where there are none.
         reading: Name under which `nfpde.effect` gives exactly this reading, where engineers mean different things by
             the name; "" for the plain one.
+        other_readings: Names of other readings that these recordings cannot tell from it.
     """
 
     effect: str
@@ -68,6 +69,7 @@ class Cause:
     indistinguishable: Sequence[Rival] = ()
     separating_experiment: str = ""
     reading: str = ""
+    other_readings: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

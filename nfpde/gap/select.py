@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.acceptance import CLOSED, WORTH, Acceptance, Chosen
-from nfpde.gap.accepted import Accepted, key
+from nfpde.gap.accepted import Accepted, called, key
 from nfpde.gap.fit import Fit
 from nfpde.gap.levels import FLOOR_ERROR
 from nfpde.gap.trial import APART, LEAST_GAIN, Trial, block_test
@@ -164,9 +164,9 @@ class Selection(Acceptance):
         Fits to short windows beside contacts may stop on their way, and equals be told apart by where.
         """
         asked = accepted[index]
-        others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
+        others = {called(a.effect) for i, a in enumerate(accepted) if i != index}
         again = {key(t.effect): t for t in (*asked.close, *asked.rivals) if t.effect is not None}
-        rivals = [t for name, t in again.items() if name not in others]
+        rivals = [t for t in again.values() if t.effect is not None and called(t.effect) not in others]
         if not rivals:
             return current, accepted
         smaller = self.without(current, index)
@@ -236,8 +236,9 @@ class Selection(Acceptance):
             self.report(f"second look at effect {number}")
             index = [key(a.effect) for a in accepted].index(name)  # one that stands goes to the end
             smaller = self.without(current, index)
-            others = {key(a.effect) for i, a in enumerate(accepted) if i != index}
-            trials = self.again(smaller, [t for t in accepted[index].field if t.effect and key(t.effect) not in others])
+            others = {called(a.effect) for i, a in enumerate(accepted) if i != index}
+            field = [t for t in accepted[index].field if t.effect and called(t.effect) not in others]
+            trials = self.again(smaller, field)
             found = self.accept(smaller, trials, first_gap)
             if found is None:
                 return smaller, [a for i, a in enumerate(accepted) if i != index]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nfpde.effects import Effect
 from nfpde.gap.chart import all_over
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.refit import GUESSES, LOOKS
+from nfpde.gap.refit import GUESSES, LOOKS, among_readings
 from nfpde.gap.replay import Replay
 from nfpde.gap.screen import Screened, span_of
 from nfpde.gap.trial import GLANCED, Court, Trial
@@ -70,7 +70,8 @@ def find_twins(
             start = guesses[order][:, replay.columns(len(replay.effects) - 1)]
             explained = (0.5 * share * every.size,)
             out.append(Screened(effect, replay, values, explained, share, ((found.fit.scatter, start),), every.xi))
-    return sorted(out, key=lambda s: -s.share)[:MOST_TWINS]
+    out.sort(key=lambda s: -s.share)
+    return [out[i] for i in among_readings([s.effect for s in out], MOST_TWINS)]
 
 
 class _Changes:

@@ -22,8 +22,8 @@ WHEN = {
 }
 """What regimes are, in a sentence."""
 
-_HALFWAY = 0.5
-"""Share to which the inertia of a body may follow its mass, at most, for that to be worth a word."""
+_NEXT_TO = 0.05
+"""Share of the way that is as good as none: the bounds of intervals that end at an end are not known better."""
 
 _CLOSE = 0.1
 """Share of the gap that an effect which was not proven must take away to be worth a word."""
@@ -81,8 +81,11 @@ def summary(
     lines += [
         f"The inertia of {name.partition(':')[2]} does not follow the mass ({value.low:.2g} to {value.high:.2g} of the "
         "way): for a fit, set scale_inertia = false in the parameters' file."
+        if value.low <= _NEXT_TO
+        else f"The inertia of {name.partition(':')[2]} follows the mass part of the way ({value.low:.2g} to "
+        f"{value.high:.2g}): for a fit neither true nor false is right for scale_inertia."
         for name, value in base.items()
-        if name.startswith(NAME) and value.high < _HALFWAY
+        if name.startswith(NAME) and value.high < 1 - _NEXT_TO
     ]
     if verdict == "unexplained" and force is not None:
         free = f"A free force on {force.joint} of position, speed, command and time would take away"
@@ -127,7 +130,10 @@ def _cause(c: Cause) -> str:
     share = f"it accounts for {c.shrink:.1%} of the gap"
     if c.shrink <= 0:
         share = "it shows in few windows, none of them among those held out"
-    text = f"{c.effect}{_at(c.target)}: {values}; {share}. {c.sentence}"
+    reading = f" (as {c.reading})" if c.reading else ""
+    text = f"{c.effect}{_at(c.target)}{reading}: {values}; {share}. {c.sentence}"
+    if c.other_readings:
+        text += f" It may as well be meant as {', '.join(c.other_readings)}."
     if c.indistinguishable:
         others = ", ".join(f"{r.effect}{_at(r.target)}" for r in c.indistinguishable)
         text += f" These recordings cannot tell it from {others}. {c.separating_experiment}"

@@ -78,6 +78,8 @@ def _play_commands(
     active_in: wp.array2d[int],
     world_row_in: wp.array[int],
     ctrlid_in: wp.array[int],
+    low_in: wp.array[float],
+    high_in: wp.array[float],
     gear_in: wp.array[float],
     first_in: int,
     effect_in: int,
@@ -92,8 +94,8 @@ def _play_commands(
         return
     half = 0.5 * float(values_in[row, first_in]) * gear_in[i]
     ctrlid = ctrlid_in[i]
-    aim = signal_out[worldid, 0, ctrlid]
+    aim = wp.clamp(signal_out[worldid, 0, ctrlid], low_in[i], high_in[i])
     for s in range(signal_out.shape[1]):
-        sent = signal_out[worldid, s, ctrlid]
+        sent = wp.clamp(signal_out[worldid, s, ctrlid], low_in[i], high_in[i])
         aim = wp.clamp(aim, sent - half, sent + half)
         signal_out[worldid, s, ctrlid] = aim

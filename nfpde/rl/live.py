@@ -56,6 +56,12 @@ class LivePhysics:
         options.solver, options.disableflags = nominal.opt.solver, nominal.opt.disableflags
         # the nominal model, whose timestep is the one in which effects count, whatever `time_scale` makes of it
         self._bound = BoundEffects(nominal, self._simulator.effects, self._simulator.writer.nbase)
+        dead = [e for e in self._bound.effects if not e.live]
+        if dead:
+            raise BadEffect(
+                f"environment {self.label}: {dead[0].name} on {dead[0].target!r} remembers commands of any age, and an "
+                "environment keeps the last few; use another reading of the effect there"
+            )
         self._on_sensor = [e for e in self._bound.effects if overrides(e, "to_measured")]
         self._memory_steps = self._simulator.history_steps(nominal.opt.timestep)
         self._effects = self._effects_at(None)

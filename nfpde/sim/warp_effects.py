@@ -61,7 +61,7 @@ COMMANDS = {
     "actuation_delay": Launch(commands._delay_commands, ("ctrls",)),
     "actuator_bias": Launch(commands._offset_commands, ("ctrls",)),
     "actuator_lag": Launch(commands._lag_commands, ("ctrls",)),
-    "backlash_command": Launch(gates._play_commands, ("ctrls", "gears")),
+    "backlash_command": Launch(gates._play_commands, ("drives.ctrls", "drives.low", "drives.high", "gears")),
     "dead_zone": Launch(drives._cut_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "dead_zone_gate": Launch(gates._gate_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "observation_delay": Launch(commands._delay_commands, ("ctrls",)),

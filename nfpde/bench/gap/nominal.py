@@ -59,9 +59,9 @@ def nominal_model(robot: Robot, rng: np.random.Generator) -> str:
 def free_constants(model: mujoco.MjModel, rng: np.random.Generator) -> list[Free]:
     """Two to five masses and dampings that are up to 30 % and 50 % off, with bounds that hold the truth.
 
-    In one robot of two the inertias follow the masses, as with other wood; in the others a load sits in the centres.
+    The inertia of one body of two follows its mass, as with other wood; in the others a load sits in the centre.
     """
-    follows = bool(rng.spawn(1)[0].random() < 0.5)
+    (material,) = rng.spawn(1)
     masses = [("body_mass", model.body(b).name, float(model.body_mass[b])) for b in range(1, model.nbody)]
     dampings = [
         ("dof_damping", model.joint(j).name, float(model.dof_damping[model.jnt_dofadr[j]]))
@@ -74,7 +74,7 @@ def free_constants(model: mujoco.MjModel, rng: np.random.Generator) -> list[Free
         off = 0.3 if field == "body_mass" else 0.5
         true = value * float(rng.uniform(1 - off, 1 + off))
         low, high = value * (1 - off) * float(rng.uniform(0.7, 0.95)), value * (1 + off) * float(rng.uniform(1.05, 1.4))
-        alone = field == "body_mass" and not follows
+        alone = field == "body_mass" and material.random() < 0.5
         found.append(Free(field, element, float(f"{low:.3g}"), float(f"{high:.3g}"), value, true, not alone))
     return found
 
