@@ -82,9 +82,10 @@ def test_what_contacts_do_is_no_candidate_there():
     candidates = [(soft, np.ones((1, 2))), (rub, np.ones((1, 1)))]
     court: Any = SimpleNamespace(capped=0.02)
     beside, there = (Rounds(ANYTHING, None, 1, court, candidates, untouched=u) for u in (False, True))
-    assert [e for e, _ in beside._open(set())] == [soft, rub]
-    assert [e for e, _ in there._open(set())] == [rub]
-    assert there._open({("coulomb_friction", "swing")}) == []
+    assert [e for e, _ in beside._open([])] == [soft, rub]
+    assert [e for e, _ in there._open([])] == [rub]
+    assert there._open([rub]) == []
+    assert there._open([], {("coulomb_friction", "swing")}) == []
     assert (beside._touches, there._touches) == (True, False)
 
 
