@@ -130,9 +130,15 @@ def _diagonal(process: Array, shown: Array, expected: Array) -> Array:
 
 def at_least(covariance: Array, floor: Array) -> Array:
     """The covariance with no direction below the floor's variance, or so far below the others' that it is rounding."""
-    scaled = covariance / np.outer(floor, floor)
-    values, vectors = np.linalg.eigh(scaled)
-    return definite((vectors * np.maximum(values, 1.0)) @ vectors.T * np.outer(floor, floor))
+    sound = definite(covariance)
+    scaled = sound / np.outer(floor, floor)
+    try:
+        # Cholesky's factor keeps the digits of channels of very different size, which eigenvectors mix
+        np.linalg.cholesky(scaled - np.eye(len(floor)))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        return definite((vectors * np.maximum(values, 1.0)) @ vectors.T * np.outer(floor, floor))
+    return sound
 
 
 def definite(covariance: Array) -> Array:
