@@ -15,7 +15,7 @@ from nfpde.estimation.trajectory.problem import make_problem
 from nfpde.estimation.trajectory.sampling import widened
 
 SPACE = nfpde.ParameterSpace([nfpde.Parameter("gain", low=0.0, high=1.0)])
-GRID = np.linspace(-30.0, 40.0, 70_001)
+GRID = np.linspace(-30.0, 50.0, 80_001)
 STEP = GRID[1] - GRID[0]
 ROWS = 30
 
@@ -55,7 +55,7 @@ def test_draws_near_a_bound_count_with_their_own_density():
 
     The simulation no longer changes there, and a draw may not be put where its density is another one.
     """
-    problem, noise, found, exact = pushed(1.3, 0.005)
+    problem, noise, found, exact = pushed(1.0001, 3.7e-7)
     pool = Pool.empty(1, 1)
     proposal = widened(Gaussians(found.weights, found.means, found.covariances))
     pool.add(problem, noise, [proposal], 4000, np.random.default_rng(0))

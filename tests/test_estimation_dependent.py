@@ -85,15 +85,19 @@ def test_windows_of_clean_smooth_recordings_are_fitted(seed):
 
 
 def test_recordings_that_memory_cannot_hold_are_refused(monkeypatch):
-    """Before anything is simulated, with the numbers and what to do; 29 windows of 2 channels are 13 matrices each."""
+    """Before anything is simulated, with the numbers and what to do; 29 windows of 2 channels are 13 matrices each.
+
+    Beside them are 4 columns for the only parameter.
+    """
+    needed = 29 * (13 * 4 + 4 * 2) * 8
     space = nfpde.ParameterSpace([nfpde.Parameter("gain", low=0.5, high=2.0)])
     simulator = nfpde.CallableSimulator(pendulum_step, space, ["q"], ["v"])
     rows = np.arange(30.0)[:, None]
     dataset = nfpde.Dataset([nfpde.Episode("a", DT * rows[:, 0], rows, rows, rows)])
     problem = make_problem(simulator, dataset, 1)
-    monkeypatch.setattr("nfpde.estimation.trajectory.problem.memory", lambda: 29 * 13 * 4 * 8)
+    monkeypatch.setattr("nfpde.estimation.trajectory.problem.memory", lambda: needed)
     problem.check_memory()
-    monkeypatch.setattr("nfpde.estimation.trajectory.problem.memory", lambda: 29 * 13 * 4 * 8 - 1)
+    monkeypatch.setattr("nfpde.estimation.trajectory.problem.memory", lambda: needed - 1)
     with pytest.raises(BadDataset, match=r"29 windows of 2 numbers each need about .* shorten the horizon"):
         nfpde.fit(simulator, dataset, quiet=True)
     assert simulator.simulated_steps == 0

@@ -14,7 +14,7 @@ import pytest
 
 import nfpde
 from nfpde.dataset import Dataset, Episode
-from nfpde.errors import BadDataset, BadInput, CheckpointMismatch
+from nfpde.errors import BadDataset, BadInput, CheckpointMismatch, SimulationDiverged
 from nfpde.estimation import FitResult, NfpdeConfig
 from nfpde.losses import increment_scale
 from nfpde.ot import emd
@@ -68,7 +68,11 @@ DATA = record()
 
 
 class Counted:
-    """The oscillator, which does something else at one of its calls (one call an iteration with these settings)."""
+    """The oscillator, which does something else at one of its calls.
+
+    With these settings there is one call for every iteration, and one before them: where there is a folder the
+    simulator's behaviour is compared with that of the run that it belongs to.
+    """
 
     def __init__(self, at=None, then=None):
         self.calls, self.at, self.then = 0, at, then
@@ -125,6 +129,8 @@ def test_half_of_the_box_diverges():
         return out
 
     result = fit(simulator(fragile), DATA, config=LEARNING, quiet=True)
+    assert result.history[0]["diverged"] > 0.3
+    assert result.history[-1]["diverged"] < 0.1
     assert np.isfinite([row["loss"] for row in result.history]).all()
     assert (result.initial.sample(500)[:, 0] > 5.0).mean() > 0.3
     # a sample there has no weight at all: what is left is the flow's tail
@@ -134,8 +140,24 @@ def test_half_of_the_box_diverges():
 
 @pytest.mark.parametrize("method", ["softmax", "cai"])
 def test_everything_diverges(method):
-    """With all losses at their limit the fit learns nothing and stays finite."""
-    result = fit(simulator(lambda x, u, xi: np.full_like(x, np.nan)), DATA, method=method, config=TINY, quiet=True)
+    """With all losses at their limit nothing is learned, and the distribution at the start is no answer."""
+    with pytest.raises(SimulationDiverged, match=r"every simulation of the 60 transitions diverged.*control step"):
+        fit(simulator(lambda x, u, xi: np.full_like(x, np.nan)), DATA, method=method, config=TINY, quiet=True)
+
+
+@pytest.mark.parametrize("method", ["softmax", "cai"])
+def test_some_transitions_diverge(method):
+    """Where an iteration meets only transitions of which no simulation is sound the fit goes on, and says so."""
+
+    def fragile(state, ctrl, xi):
+        out = oscillator(state, ctrl, xi)
+        out[state[:, 0] > 0] = np.nan
+        return out
+
+    config = replace(TINY, transitions=1, iterations=12)
+    result = fit(simulator(fragile), DATA, method=method, config=config, quiet=True)
+    # one transition each, of which all simulations diverge or none
+    assert {row["diverged"] for row in result.history} == {0.0, 1.0}
     assert np.isfinite(result.distribution.sample(100)).all()
 
 
@@ -145,7 +167,7 @@ def test_an_interrupted_fit_goes_on(tmp_path, monkeypatch, uninterrupted, call, 
     """Ctrl-C inside the simulator: a checkpoint is left, and the same call ends in the same numbers bit for bit."""
     if often:  # a checkpoint after every iteration, instead of one in five seconds
         monkeypatch.setattr(sys.modules["nfpde.estimation.run"], "CHECKPOINT_SECONDS", 0.0)
-    stopped = Counted(call, interrupt)
+    stopped = Counted(call + 1, interrupt)
     with pytest.raises(KeyboardInterrupt) as caught:
         fit(simulator(stopped), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
     assert f"state after {call - 1} of 5 iterations, from which the same call goes on" in str(caught.value)
@@ -154,7 +176,7 @@ def test_an_interrupted_fit_goes_on(tmp_path, monkeypatch, uninterrupted, call, 
     assert not (tmp_path / "fit.json").exists()
     rest = Counted()
     result = fit(simulator(rest), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
-    assert rest.calls == 5 - (call - 1)
+    assert rest.calls == 1 + 5 - (call - 1)
     assert numbers(result) == numbers(uninterrupted)
 
 
@@ -171,7 +193,7 @@ spec = importlib.util.spec_from_file_location(sys.argv[3], sys.argv[1])
 same = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(same)
 sys.modules["nfpde.estimation.run"].CHECKPOINT_SECONDS = 0.0
-step = same.Counted(4, lambda: os.kill(os.getpid(), signal.SIGKILL))
+step = same.Counted(5, lambda: os.kill(os.getpid(), signal.SIGKILL))
 same.fit(same.simulator(step), same.DATA, config=same.TINY, seed=2, out=sys.argv[2], quiet=True)
 """
 
@@ -182,15 +204,15 @@ def test_a_killed_fit_goes_on(tmp_path, uninterrupted):
     assert done.returncode == -signal.SIGKILL
     rest = Counted()
     result = fit(simulator(rest), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
-    assert rest.calls == 2
+    assert rest.calls == 1 + 2
     assert numbers(result) == numbers(uninterrupted)
 
 
 def test_a_finished_run_is_read_back(tmp_path, uninterrupted):
-    """Nothing is simulated, and everything is the same, seconds included."""
+    """Nothing is simulated but what tells the simulator, and everything is the same, seconds included."""
     first = fit(simulator(), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
     written = (tmp_path / "fit.json").read_bytes()
-    again = fit(simulator(Counted(1, interrupt)), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
+    again = fit(simulator(Counted(2, interrupt)), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
     assert numbers(again) == numbers(first) == numbers(uninterrupted)
     assert (tmp_path / "fit.json").read_bytes() == written
 

@@ -7,6 +7,8 @@ import pytest
 import torch
 
 import nfpde
+from nfpde.errors import BadDataset
+from nfpde.estimation.trajectory.freedom import widening
 from tests.linear_robots import DT, SPACE, both_stages, linear_simulator, linear_step, moments
 
 torch.set_num_threads(1)
@@ -61,12 +63,17 @@ def test_memory_is_bounded_without_changing_a_number(monkeypatch):
 
 
 def test_a_thousand_short_episodes():
-    """Robots of three rows, some under twice the same command: a population as wide as they, from few draws each."""
+    """Robots of three rows, some under twice the same command: a population as wide as they, from few draws each.
+
+    Two parameters explain two windows whatever their noise: how exact the sensors are has to be said.
+    """
     rng = np.random.default_rng(15)
     true = np.array([3.0, -2.0]) + 0.5 * rng.normal(size=(1000, 2))
     settings = nfpde.TrajectoryConfig(starts=1, population_rounds=1)
     dataset = nfpde.Dataset([drifting(f"{i}", xi, rng, 3) for i, xi in enumerate(true)])
-    result = nfpde.fit(linear_simulator(), dataset, config=settings, quiet=True)
+    with pytest.raises(BadDataset, match=r"2000 windows .* 1000 robots, .* how exact the sensors are \(resolution"):
+        nfpde.fit(linear_simulator(), dataset, config=settings, quiet=True)
+    result = nfpde.fit(linear_simulator(), dataset, config=settings, resolution=1e-6, quiet=True)
     assert result.info["robots"][0]["sampling"]["draws"] < nfpde.TrajectoryConfig().draws
     # five standard errors of the mean of 1000; smoothing widens
     np.testing.assert_allclose(result.distribution.mean(), true.mean(0), atol=5 * 0.5 / np.sqrt(1000))
@@ -90,7 +97,9 @@ def test_resolution_is_the_floor_of_the_noise():
     # the exact covariance of least squares with that noise, seen in z: slope of the box at the mode
     (p,) = rounded.posteriors
     slope = np.diag(SPACE.width * 0.25 * (1 - np.tanh(p.means[0] / 2) ** 2))
-    closed = np.linalg.inv(design.T @ np.linalg.solve(covariance, design))
+    # 39 windows less two parameters tell it
+    assert coarse.alone.noise.scatter.freedom == pytest.approx(37, abs=0.1)
+    closed = widening(37) * np.linalg.inv(design.T @ np.linalg.solve(covariance, design))
     np.testing.assert_allclose(slope @ p.covariances[0] @ slope, closed, rtol=0.02, atol=0.02 * closed.max())
 
 

@@ -50,7 +50,8 @@ def fit(
             beta is found from the data unless the settings give it: see `next_beta`.
         config: settings of the method: `TrajectoryConfig` or `NfpdeConfig`; None for the defaults.
         resolution: with `trajectory`, the smallest step that the sensors show: one number, or one for each channel of
-            a state difference (ndiff,), in the recorded units. No residual is believed below its rounding.
+            a state difference (ndiff,), in the recorded units. No residual is believed below its rounding; where the
+            recordings are too few to tell any noise it is all that is known of it.
         seed: of everything random, from 0 to 2^63 - 1; equal seeds give equal results.
         out: folder for checkpoints and results. A run that was interrupted or killed goes on from there, to the
             same numbers as one that never stopped; a finished one is read back.
@@ -58,8 +59,10 @@ def fit(
 
     Raises:
         BadInput: settings, windows without what the simulator needs, or several models with `trajectory`.
-        BadDataset: recordings that do not fit into the memory with `trajectory`, or are too short.
-        CheckpointMismatch: `out` belongs to another run.
+        BadDataset: recordings that do not fit into the memory with `trajectory`, or are too short, or too few to tell
+            their noise from the parameters.
+        CheckpointMismatch: `out` belongs to another run, or to another simulator by what it does.
+        SimulationDiverged: every simulation did, of all recordings or with `trajectory` of a robot's.
         KeyboardInterrupt: after saving a checkpoint.
     """
     if method not in get_args(Method):
@@ -93,7 +96,7 @@ def fit(
         problem.check_memory()
         if resolution is not None:
             run["resolution"] = np.asarray(resolution).tolist()
-        result = fit_trajectory(problem, settings, seed, run, folder, quiet)
+        result = fit_trajectory(problem, dataset, settings, seed, run, folder, quiet)
     else:
         result = _fit_transitions(simulator, dataset, settings, seed, run, folder, quiet)
     if folder is not None:
@@ -121,7 +124,7 @@ def _fit_transitions(
 
     channels = simulator.states.ndiff * config.horizon
     trainer = NfpdeTrainer(losses, len(windows), channels, simulator.space, run["method"], config, seed)
-    counted = run_estimator(trainer, simulator, run, out, quiet)
+    counted = run_estimator(trainer, simulator, dataset, run, out, quiet)
     flow = trainer.flow
     start = build_flow(
         flow.features, flow.kind, hidden_features=flow.hidden_features, transforms=flow.transforms, seed=seed

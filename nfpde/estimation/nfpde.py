@@ -13,18 +13,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
-from nfpde.errors import BadInput
+from nfpde.errors import BadInput, SimulationDiverged
 from nfpde.estimation.candidates import cai, next_beta, softmax, typical_effective
 from nfpde.estimation.config import NfpdeConfig
 from nfpde.flow import Flow, build_flow
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import OnDevice
+from nfpde.sim import LOSS_LIMIT, OnDevice
 
 Array = NDArray[np.float64]
 
 LossFunction = Callable[[Array, NDArray[np.intp]], OnDevice]
 """Losses (M, B) of parameter vectors (M, D) on the transitions with the given indices (B,), on any device."""
 
+
+FEW = 8
+"""Samples that are simulated on all transitions, where all samples diverge on those of an iteration."""
 
 _ON_HOST = 1
 """DLPack's number of memory that any processor of the host reads."""
@@ -39,6 +42,11 @@ def as_tensor(losses: OnDevice) -> Tensor:
         return torch.from_dlpack(losses)
     array: Any = losses
     return torch.from_numpy(array.numpy())
+
+
+def _diverged(losses: Tensor) -> float:
+    """Share of simulations that diverged."""
+    return float((losses >= LOSS_LIMIT).double().mean())
 
 
 def surrogate(ratio: Tensor, weight: Tensor, clip: float) -> Tensor:
@@ -107,27 +115,45 @@ class NfpdeTrainer:
         return self.iteration >= self.total
 
     def step(self) -> dict[str, float]:
-        """Draw, simulate, learn; returns the figures of the iteration, which are also added to `history`."""
+        """Draw, simulate, learn; returns the figures of the iteration, which are also added to `history`.
+
+        Raises:
+            SimulationDiverged: every simulation did, of all transitions.
+        """
         started = time.perf_counter()
         z = self.flow.sample(self.config.samples, self.generator)
         batch = self.rng.permutation(self.count)[: self.config.transitions]
         losses = as_tensor(self.losses(self.space.to_physical(z.numpy()), batch))
+        diverged = _diverged(losses)
+        if diverged == 1.0:
+            losses = losses.clone()  # the next call may write over them
+            self._check_others(z[:FEW])
         if self.candidate == "softmax":
             self.beta = self.config.beta or next_beta(losses, self.beta, self.channels, self.config.least_effective)
             values = softmax(losses, self.beta)
             explained = float((values * losses).sum(0).mean())
-            figures = {"beta": self.beta, "effective": typical_effective(values)}
+            figures = {"beta": self.beta, "effective": typical_effective(values), "diverged": diverged}
             weight = values.mean(1)
         else:
             values = cai(losses)
             explained = -float(values.mean())
-            figures = {}
+            figures = {"diverged": diverged}
             weight = values.mean(1) / len(values)
         self._ascend(z, weight.cpu())
         self.iteration += 1
         seconds = time.perf_counter() - started
         self.history.append({"iteration": self.iteration, "loss": explained, **figures, "seconds": seconds})
         return self.history[-1]
+
+    def _check_others(self, z: Tensor) -> None:
+        """Refuse to go on where all transitions diverge, and not only those of a batch."""
+        rest = as_tensor(self.losses(self.space.to_physical(z.numpy()), np.arange(self.count)))
+        if _diverged(rest) == 1.0:
+            raise SimulationDiverged(
+                f"every simulation of the {self.count} transitions diverged, with all parameters that were tried in "
+                f"iteration {self.iteration + 1}: check the recorded states (units, order of columns), the control "
+                "step and the bounds"
+            )
 
     def _ascend(self, z: Tensor, weight: Tensor) -> None:
         """Adam on the surrogate of Eq. 8."""

@@ -10,11 +10,17 @@ from typing import Any, Protocol
 
 import torch
 
-from nfpde.checkpoint import load_state, save_state
+from nfpde.checkpoint import STATE_FILE, load_state, save_state
+from nfpde.dataset import Dataset
+from nfpde.errors import CheckpointMismatch
+from nfpde.estimation.behaviour import Behaviour, difference, observe
 from nfpde.progress import progress
 from nfpde.sim import Simulator
 
 CHECKPOINT_SECONDS = 5.0
+
+STATE_VERSION = 2
+"""Of what a checkpoint holds."""
 
 
 class Estimator(Protocol):
@@ -62,13 +68,14 @@ def _one_thread() -> Iterator[None]:
 
 
 def run_estimator(
-    trainer: Estimator, simulator: Simulator, run: dict[str, Any], out: Path | None, quiet: bool
+    trainer: Estimator, simulator: Simulator, dataset: Dataset, run: dict[str, Any], out: Path | None, quiet: bool
 ) -> dict[str, float]:
     """All iterations, from the last checkpoint on where there is one.
 
     Args:
         trainer: what advances.
-        simulator: its steps are counted.
+        simulator: its steps are counted, but for those that tell whether it is the one of the checkpoint.
+        dataset: recordings that are fitted.
         run: what must be the same for a run to go on, JSON.
         out: the run's folder; None saves nothing.
         quiet: no progress on the error stream.
@@ -77,11 +84,14 @@ def run_estimator(
         `simulated_steps` and `seconds` of the whole run, its earlier parts included.
 
     Raises:
-        CheckpointMismatch: `out` belongs to another run.
+        CheckpointMismatch: `out` belongs to another run, or to another simulator by what it does.
         KeyboardInterrupt: after saving a checkpoint.
     """
     folder = None if out is None else out / "checkpoint"
-    saved = None if folder is None else load_state(folder, run)
+    behaviour, saved = None, None
+    if folder is not None:
+        behaviour = observe(simulator, dataset)
+        saved = _load(folder, run, simulator, behaviour)
     counted = {"simulated_steps": 0.0, "seconds": 0.0}
     if saved is not None:
         tensors, info = saved
@@ -96,7 +106,13 @@ def run_estimator(
             "simulated_steps": steps_before + simulator.simulated_steps,
             "seconds": seconds_before + time.perf_counter() - begun,
         }
-        return tensors, {"run": run, "counted": now, **info}
+        return tensors, {
+            "state_version": STATE_VERSION,
+            "run": run,
+            "behaviour": behaviour,
+            "counted": now,
+            **info,
+        }
 
     def save() -> None:
         if folder is not None:
@@ -127,3 +143,27 @@ def run_estimator(
         finally:
             save()
     return whole[1]["counted"]
+
+
+def _load(
+    folder: Path, run: dict[str, Any], simulator: Simulator, behaviour: Behaviour
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]] | None:
+    """The state to go on from, if it is one of this run and of this simulator."""
+    saved = load_state(folder)
+    if saved is None:
+        return None
+    path, version = folder / STATE_FILE, saved[1].get("state_version")
+    if version != STATE_VERSION:
+        raise CheckpointMismatch(
+            f"{path} was saved by another version of nfpde (a state of version {version}, this one goes on with "
+            f"{STATE_VERSION}): fit into another folder"
+        )
+    load_state(folder, run)  # refuses other settings
+    found = difference(saved[1]["behaviour"], behaviour, simulator)
+    if found is not None:
+        raise CheckpointMismatch(
+            f"{path} was saved by a fit with another simulator of the same name:\n"
+            f"  {found[0]}: saved {found[1]}, now {found[2]}\n"
+            "Use the same simulator to go on (its function, and every number in it), or another folder to start afresh."
+        )
+    return saved

@@ -17,6 +17,7 @@ def tell(result: FitResult) -> Iterator[str]:
         result: of `fit` with the method `trajectory`.
     """
     tells, found = result.info["tells"], result.info["population"]
+    yield from _lines("Beware:", result.info.get("cautions", []))  # results of earlier versions have none
     yield "What the recordings tell of each robot:"
     width = max(len(name) for name in tells["parameters"])
     for name, row in tells["parameters"].items():

@@ -84,6 +84,8 @@ def _head(info: dict[str, Any]) -> str:
         if info["converged"]
         else '<p class="warn">The fit had not settled when its rounds were over: give it more.</p>'
     )
+    # results of earlier versions have no cautions
+    ended += "".join(f'<p class="warn">{escape(text)}</p>' for text in info.get("cautions", ()))
     return (
         f"<h1>{len(robots)} robot{'s' if len(robots) != 1 else ''}, {len(told)} parameters</h1><p>The recordings "
         f"({info['episodes']} episodes, {info['transitions']} windows) tell {known} of {len(told)} parameters for most "

@@ -85,25 +85,25 @@ class Factor:
         return cls(chains, spread, inverse, gain)
 
     def innovations(self, residuals: Array) -> Array:
-        """What earlier windows do not tell of each residual, (N, C) to (N, C)."""
+        """What earlier windows do not tell of each residual, (N, C) to (N, C); of columns, (N, C, K), of each."""
         found = residuals.copy()
         before: Index = np.empty(0, np.intp)
         for t, now in enumerate(self.chains.steps):
             if t:
-                found[now] -= np.einsum("nij,nj->ni", self.gain[now], found[before[: len(now)]])
+                found[now] -= _times(self.gain[now], found[before[: len(now)]])
             before = now
         return found
 
     def solution(self, innovations: Array, weights: Array) -> Array:
-        """Solution x of covariance x = r, (N, C).
+        """Solution x of covariance x = r, (N, C); of columns, (N, C, K).
 
         Args:
-            innovations: of residuals r                                    (N, C)
-            weights: of the windows                                        (N,)
+            innovations: of residuals r, (N, C), or of columns, (N, C, K).
+            weights: of the windows, (N,).
         """
-        solution = np.einsum("n,nij,nj->ni", weights, self.inverse, innovations)
+        solution = _times(weights[:, None, None] * self.inverse, innovations)
         for before, after in self._back():
-            solution[before] -= np.einsum("nij,ni->nj", self.gain[after], solution[after])
+            solution[before] -= _times(self.gain[after].swapaxes(1, 2), solution[after])
         return solution
 
     def inverse_blocks(self, weights: Array) -> tuple[Array, Array]:
@@ -125,3 +125,8 @@ class Factor:
         steps = self.chains.steps
         for now, after in zip(steps[-2::-1], steps[:0:-1], strict=True):
             yield now[: len(after)], after
+
+
+def _times(matrices: Array, x: Array) -> Array:
+    """Matrices (n, C, C) times one vector each (n, C), or times columns (n, C, K)."""
+    return matrices @ x if x.ndim == 3 else np.einsum("nij,nj->ni", matrices, x)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.estimation.trajectory.chains import Chains, Factor
+from nfpde.estimation.trajectory.freedom import MOST_USED, Used
 from nfpde.estimation.trajectory.noise import Scatter
 
 Array = NDArray[np.float64]
@@ -20,9 +21,10 @@ ROUNDING = 1e-13
 class Judged:
     """A scatter with what one pass over the windows finds with it.
 
-    score: log likelihood [nats]
+    score: restricted log likelihood [nats]
     weights: what every window tells of the next one                       (N,)
     innovations: of the residuals                                          (N, C)
+    used: what the fit has used up of them
     """
 
     scatter: Scatter
@@ -30,25 +32,56 @@ class Judged:
     weights: Array
     factor: Factor
     innovations: Array
+    used: Used
 
 
-def rescaled(best: Judged, slopes: Array, inflation: float, *, full: bool) -> Scatter:
+def rescaled(best: Judged, slopes: Array, kicks: Array | None) -> Scatter:
     """One step of the MM algorithm.
 
     Args:
         best: where from.
         slopes: derivative of every window's end by its start            (N, C, ndiff)
-        inflation: of the squares, for the degrees of freedom that a fit has used up.
-        full: whether the errors of the simulation have a full covariance, or a diagonal one.
+        kicks: see `carried_on`; None where the errors of the simulation have a full covariance    (C, C)
     """
     scatter, chains = best.scatter, best.factor.chains
     u = best.factor.solution(best.innovations, best.weights)
-    shown = inflation * np.einsum("ni,nj->ij", u, u)
-    shown_sensor = inflation * squares_of_states(chains, u, slopes)
+    shown_sensor, shown = squares_of_states(chains, u, slopes), u.T @ u
     expected_sensor, expected = visible(best.factor, best.weights, slopes)
+    lost_sensor, lost = _lost(chains, best.used.columns, slopes)
+    expected_sensor -= np.minimum(lost_sensor, MOST_USED * expected_sensor)
     sensor = scatter.sensor * np.sqrt(shown_sensor / np.maximum(expected_sensor, 1e-300))
-    process = _riccati(scatter.process, shown, expected) if full else _diagonal(scatter.process, shown, expected)
+    if kicks is None:
+        process = _riccati(scatter.process, shown, expected - MOST_USED * lost)
+    else:
+        process = _rescaled_kicks(scatter.process, shown, expected, lost, kicks, slopes.shape[2])
     return replace(scatter, sensor=sensor, process=process)
+
+
+def carried_on(slopes: Array) -> Array:
+    """How errors that the simulation makes in each control step show in the steps of a window, (C, C).
+
+    One of the step k is handed on to the step h by the derivative of a state by the one h - k steps before, and all
+    steps' errors have the same variances: ndiff numbers for all steps of a window, where its ends are told apart by as
+    few windows as there are. Of a window of one step it is the identity.
+
+    Args:
+        slopes: derivative of every window's end by its start            (N, C, ndiff)
+    """
+    n, channels, ndiff = slopes.shape
+    steps = channels // ndiff
+    # the windows in the middle: a contact that opens in some is no property of all
+    usual = np.median(slopes.reshape(n, steps, ndiff, ndiff), axis=0)
+    after = np.concatenate([np.eye(ndiff)[None], usual[:-1]])
+    found = np.zeros((steps, ndiff, steps, ndiff))
+    for k in range(steps):
+        found[k:, :, k] = after[: steps - k]
+    return found.reshape(channels, channels)
+
+
+def kicked(variances: Array, kicks: Array) -> Array:
+    """Covariance of what a window's simulation lacks whose errors of a step have variances (ndiff,); (C, C)."""
+    each = np.tile(variances, len(kicks) // len(variances))
+    return (kicks * each) @ kicks.T
 
 
 def extrapolated(old: Scatter, new: Scatter, stride: int, floors: tuple[Array, Array]) -> Scatter:
@@ -65,9 +98,17 @@ def extrapolated(old: Scatter, new: Scatter, stride: int, floors: tuple[Array, A
 
 def squares_of_states(chains: Chains, u: Array, slopes: Array) -> Array:
     """What residuals with solution u (N, C) show of the variances of states' errors, (ndiff,)."""
-    # errors of states: those at which a window starts, linked to the one before or not, and those at which none starts
+    return squares_by_window(chains, u, slopes).sum(0)
+
+
+def squares_by_window(chains: Chains, u: Array, slopes: Array) -> Array:
+    """The same of the states at which each window starts, linked to the one before or not, or ends with none after it.
+
+    Returns:
+        (N, ndiff).
+    """
     ends, free = _ends(chains, u, slopes)
-    return (at_starts(chains, u, slopes) ** 2).sum(0) + (ends[free] ** 2).sum(0)
+    return at_starts(chains, u, slopes) ** 2 + np.where(free[:, :, None], ends**2, 0.0).sum(1)
 
 
 def visible(factor: Factor, weights: Array, slopes: Array) -> tuple[Array, Array]:
@@ -76,6 +117,21 @@ def visible(factor: Factor, weights: Array, slopes: Array) -> tuple[Array, Array
     ends, free = _ends(factor.chains, np.einsum("ncc->nc", diagonal), slopes)
     sensor = width_at_starts(factor.chains, diagonal, below, slopes).sum(0) + ends[free].sum(0)
     return sensor, diagonal.sum(0)
+
+
+def _lost(chains: Chains, columns: Array, slopes: Array) -> tuple[Array, Array]:
+    """What residuals cannot show of the states' errors (ndiff,) and of the process (C, C), as a fit has used it up.
+
+    Args:
+        chains: which window follows which.
+        columns: of `Used`                                               (N, C, D)
+        slopes: derivative of every window's end by its start            (N, C, ndiff)
+    """
+    flat = columns.swapaxes(0, 1).reshape(columns.shape[1], -1)
+    sensor = np.zeros(slopes.shape[2])
+    for column in np.moveaxis(columns, 2, 0):
+        sensor += squares_of_states(chains, column, slopes)
+    return sensor, flat @ flat.T
 
 
 def _ends(chains: Chains, numbers: Array, slopes: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -124,8 +180,15 @@ def _riccati(process: Array, shown: Array, expected: Array) -> Array:
     return half @ half.T * np.outer(size, size)
 
 
-def _diagonal(process: Array, shown: Array, expected: Array) -> Array:
-    return np.diag(np.diag(process) * np.sqrt(np.diag(shown) / np.maximum(np.diag(expected), 1e-300)))
+def _rescaled_kicks(process: Array, shown: Array, expected: Array, lost: Array, kicks: Array, ndiff: int) -> Array:
+    def by_channel(matrix: Array) -> Array:
+        return ((matrix @ kicks) * kicks).sum(0).reshape(-1, ndiff).sum(0)
+
+    there = by_channel(expected)
+    there -= np.minimum(by_channel(lost), MOST_USED * there)
+    # the first step shows no errors but its own
+    variances = np.diag(process)[:ndiff] * np.sqrt(by_channel(shown) / np.maximum(there, 1e-300))
+    return kicked(variances, kicks)
 
 
 def at_least(covariance: Array, floor: Array) -> Array:

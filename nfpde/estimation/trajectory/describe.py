@@ -13,6 +13,7 @@ from nfpde.estimation.trajectory.gaussians import Gaussians
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge
 from nfpde.estimation.trajectory.information import standard_errors
 from nfpde.estimation.trajectory.informing import PopulationEstimator
+from nfpde.estimation.trajectory.levenberg import FARTHEST
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.flow import GaussianMixture
 from nfpde.parameters import ParameterSpace
@@ -102,6 +103,9 @@ def _parameters(
         leans = "low" if share < AT_BOUND else "high" if share > 1 - AT_BOUND else None
         if min(best[i] - parameter.low, parameter.high - best[i]) > PILED_UP * std:
             leans = None
+        # as far as was searched: whatever its standard deviation says, it may lie farther
+        if max(abs(mode[i]), abs(value[i])) >= FARTHEST:
+            leans = "low" if share < 0.5 else "high"
         table[parameter.name] = {
             "value": float(best[i]),
             "std": std,

@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import SimulationDiverged
 from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.borrowing import anything_new, borrowed_from, standing_out
+from nfpde.estimation.trajectory.cautions import check_noise
 from nfpde.estimation.trajectory.chains import Chains
+from nfpde.estimation.trajectory.freedom import Fitted
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
-from nfpde.estimation.trajectory.modes import LocalPosterior, determined, distinct, local_posteriors
+from nfpde.estimation.trajectory.modes import LocalPosterior, determined, distinct, local_posteriors, prior_information
 from nfpde.estimation.trajectory.noise import Noise, Scatter
+from nfpde.estimation.trajectory.places import better_over_decades, spread_over_width
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.scatter import learn_alike, learn_shared
 from nfpde.estimation.trajectory.settling import STILL, Linear, Linearised, farthest, settle
@@ -101,11 +103,14 @@ class TrajectoryEstimator:
             self._first()
         c = self._found()
         improve(self.problem, c, self.noise, self.config.steps)
+        if self.iteration == 0:
+            c = self._look_farther(c)
         if self.iteration in BORROWING_ROUNDS and self.robots > 1:
             c = self._borrow(c)
         # slopes to both sides are for those that are left
         c = distinct(c)
-        linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
+        every = np.arange(len(c.robot))
+        linearise(self.problem, c, self.noise, every, careful=True, keep=c.best(self.robots))
         c = self.candidates = distinct(c)
         before, best = self.noise.log_scale, self._best()
         moved, self.places = self._moved(c.z[best], c.information[best]), c.z[best]
@@ -129,7 +134,12 @@ class TrajectoryEstimator:
         self.settled = True
 
     def posteriors(self) -> list[LocalPosterior]:
-        """The robots' posteriors under the learned noise, in the order of `problem.names`."""
+        """The robots' posteriors under the learned noise, in the order of `problem.names`.
+
+        Raises:
+            SimulationDiverged: every simulation of a robot's recordings did.
+            BadDataset: the recordings cannot tell the noise, see `check_noise`.
+        """
         c = self._found()
         for g, k in enumerate(self._best()):
             if not np.isfinite(c.residuals[k]).all(1).any():
@@ -137,6 +147,7 @@ class TrajectoryEstimator:
                     f"every simulation of the recordings of {self.problem.names[g]} diverged: leave it out, or check "
                     "its states (units, order of columns)"
                 )
+        check_noise(self.measured, self.noise.scatter)
         if not self.settled:  # then they have been linearised last of all, see `_settle`
             linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
         return local_posteriors(c, self.robots)
@@ -145,8 +156,7 @@ class TrajectoryEstimator:
         """Quasi-random starts in the inner part of the box, the same for every robot; noise from their residuals."""
         space = self.problem.simulator.space
         n = self.config.starts
-        shares = 0.1 + 0.8 * qmc.Sobol(len(space), rng=self.seed).random(1 << (n - 1).bit_length())[:n]
-        z = np.tile(space.to_unconstrained(space.low + shares * space.width), (self.robots, 1))
+        z = np.tile(spread_over_width(space, n, self.seed), (self.robots, 1))
         c = start(self.problem, z, np.repeat(np.arange(self.robots), n), self.noise)
         if not any(np.isfinite(r).all(1).any() for r in c.residuals):
             raise SimulationDiverged(
@@ -156,6 +166,14 @@ class TrajectoryEstimator:
         self.noise = Noise.alike(learn_alike(c.residuals, 0, self.problem.floor), self.problem.members)
         reweigh(c, self.noise)
         self.candidates = c
+
+    def _look_farther(self, c: Candidates) -> Candidates:
+        """Also begin where bounds that span decades hold something better than what was found in their width."""
+        better = better_over_decades(self.problem, c, self.noise, self.config.starts, self.seed)
+        if better is None:
+            return c
+        improve(self.problem, better, self.noise, self.config.steps)
+        return c.joined(better)
 
     def _borrow(self, c: Candidates) -> Candidates:
         """Let robots also try the best place of two others: all of them, as long as that finds anything new.
@@ -185,7 +203,9 @@ class TrajectoryEstimator:
         if self.slopes is None:
             start = learn_alike([residuals], fitted, p.floor)
             self.slopes = start_slopes(p, z, np.sqrt(np.diag(start.process)[-p.simulator.states.ndiff :]))
-        found = learn_shared(start, residuals, self.slopes, self.chains, fitted, (p.grain, p.floor))
+        told = Fitted.of([s for k in best if (s := c.slopes[k]) is not None], prior_information(z))
+        c.slopes = [None] * len(c.slopes)  # they take memory, and the next round has others
+        found = learn_shared(start, residuals, self.slopes, self.chains, told, (p.grain, p.floor))
         self._linearise(Linear(z, found.left, found.weights, found.errors), found.scatter)
         restart(self.problem, c, self.noise)
 
@@ -229,7 +249,7 @@ class TrajectoryEstimator:
         saved = restore_state(info["trajectory"], tensors)
         self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
         self.learned, self.settled, self.borrowing_pays = (info[k] for k in ("learned", "settled", "borrowing_pays"))
-        scatter = Scatter(saved["sensor"], saved["process"], saved["degrees"], saved["scale"])
+        scatter = Scatter(*(saved[f.name] for f in fields(Scatter)))
         self.noise = Noise.alike(scatter, self.problem.members)
         if "best" in saved:
             self._linearise(Linear(*(saved[f.name] for f in fields(Linear))), scatter)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from nfpde.dataset import Dataset
 from nfpde.distribution import ParameterDistribution
 from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.result import FitResult, versions
 from nfpde.estimation.run import run_estimator
 from nfpde.estimation.trajectory.advice import record_next
+from nfpde.estimation.trajectory.cautions import cautions
 from nfpde.estimation.trajectory.describe import describe_population, describe_robots
 from nfpde.estimation.trajectory.flows import FlowPopulation
 from nfpde.estimation.trajectory.gaussians import Gaussians, joined
@@ -27,12 +29,19 @@ from nfpde.flow import Density, GaussianMixture
 
 
 def fit_trajectory(
-    problem: Problem, config: TrajectoryConfig, seed: int, run: dict[str, Any], out: Path | None, quiet: bool
+    problem: Problem,
+    dataset: Dataset,
+    config: TrajectoryConfig,
+    seed: int,
+    run: dict[str, Any],
+    out: Path | None,
+    quiet: bool,
 ) -> FitResult:
     """Both stages, then both answers: the population, and the robots that made the recordings.
 
     Args:
         problem: windows sorted by robot.
+        dataset: the recordings from which they are cut.
         config: settings.
         seed: of everything random.
         run: what must be the same for a run to go on, JSON.
@@ -40,7 +49,7 @@ def fit_trajectory(
         quiet: no progress on the error stream.
     """
     estimator = TwoStages(problem, config, seed)
-    counted = run_estimator(estimator, problem.simulator, run, out, quiet)
+    counted = run_estimator(estimator, problem.simulator, dataset, run, out, quiet)
     together = estimator.together
     if together is None:
         raise RuntimeError("a finished fit has both stages")
@@ -51,15 +60,19 @@ def fit_trajectory(
     best, scatter = np.array([p.means[0] for p in together.posteriors]), estimator.alone.noise.scatter
     values = together.values(robots)
     errors, diverged = channel_errors(problem, best, scatter)
+    tells = describe_knowledge(knowledge)
+    told = [row["told"] for row in tells["parameters"].values()]
     described = {
-        "tells": describe_knowledge(knowledge),
+        "tells": tells,
         "record_next": record_next(problem, knowledge, together.noise),
         "residuals": errors,
     }
     counted["simulated_steps"] += problem.simulator.simulated_steps - steps
     found = {
         "converged": estimator.alone.converged,
+        "cautions": cautions(problem, scatter, errors, told),
         "noise_degrees": scatter.degrees,
+        "noise_freedom": scatter.freedom if np.isfinite(scatter.freedom) else None,
         "population": describe_population(together),
         "robots": [
             row | {"diverged": n}

@@ -23,8 +23,9 @@ STEP, WIDEST = 1e-4, 0.02
 RESOLVED = 0.3
 """Finite difference for a simulator of single precision, in standard deviations of the parameter."""
 
-FARTHEST = 9.0
-"""|z| of candidates: within 1e-4 of the box's width of a bound there is nothing left to find."""
+FARTHEST = 20.0
+"""|z| of candidates: within 2e-9 of the box's width of a bound a `STEP` moves a simulation by a thousand rounding
+errors of double precision, and closer to it the differences say nothing."""
 
 SAME = 1.0
 """Two candidates closer than this share of a posterior standard deviation in every direction are one mode."""
@@ -45,6 +46,7 @@ class Candidates:
     residuals: of their robot's windows, not white                         K arrays (n, C)
     information: Gauss-Newton matrix of cost / 2, prior included           (K, D, D)
     data_information: Fisher's of the recordings alone: less where tails are heavy   (K, D, D)
+    slopes: derivatives of the residuals by the parameters, where `linearise` kept them    K arrays (D, n, C) or None
     """
 
     robot: Index
@@ -55,6 +57,7 @@ class Candidates:
     data_information: Array
     damping: Array = field(default_factory=lambda: np.empty(0))
     done: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    slopes: list[Array | None] = field(default_factory=list)
 
     def take(self, index: Index) -> Candidates:
         """The candidates at `index`, in that order."""
@@ -67,6 +70,7 @@ class Candidates:
             self.data_information[index],
             self.damping[index],
             self.done[index],
+            [self.slopes[k] for k in index],
         )
 
     def best(self, robots: int) -> Index:
@@ -85,6 +89,7 @@ class Candidates:
             np.concatenate([self.data_information, others.data_information]),
             np.concatenate([self.damping, others.damping]),
             np.concatenate([self.done, others.done]),
+            self.slopes + others.slopes,
         )
 
 
@@ -101,6 +106,7 @@ def start(problem: Problem, z: Array, robot: Index, noise: Noise) -> Candidates:
         np.zeros((k, d, d)),
         np.full(k, 1e-2),
         np.zeros(k, bool),
+        [None] * k,
     )
 
 
@@ -132,12 +138,13 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         if not len(active):
             return
         gradient = linearise(problem, c, noise, active)
-        scale = np.einsum("kii->ki", c.information[active])
+        curvature = c.information[active] + _bending(c.z[active], gradient)
+        scale = np.einsum("kii->ki", curvature)
         damping = c.damping[active, None] * _DAMPINGS
         # at the end of its bounds a parameter has neither data nor prior left to hold its direction
         ridge = 1e-13 * scale.max(1)[:, None, None] * np.eye(d)
         own = scale[:, None, :, None] * np.eye(d)
-        matrices = c.information[active, None] + ridge[:, None] + damping[..., None, None] * own
+        matrices = curvature[:, None] + ridge[:, None] + damping[..., None, None] * own
         steps = -np.linalg.solve(matrices, np.broadcast_to(gradient[:, None, :, None], (len(active), 3, d, 1)))[..., 0]
         trials = np.clip(c.z[active, None] + np.clip(steps, -3.0, 3.0), -FARTHEST, FARTHEST)
         flat = trials.reshape(-1, d)
@@ -145,7 +152,7 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
         costs = _costs(residuals, np.repeat(c.robot[active], 3), flat, noise).reshape(-1, 3)
         best = costs.argmin(1)
         # what the undamped quadratic model still promises, in cost
-        newton = np.linalg.solve(c.information[active] + ridge, gradient[..., None])[..., 0]
+        newton = np.linalg.solve(curvature + ridge, gradient[..., None])[..., 0]
         promise = np.einsum("kd,kd->k", gradient, newton)
         for i, k in enumerate(active):
             if costs[i, best[i]] < c.cost[k]:
@@ -157,6 +164,17 @@ def improve(problem: Problem, c: Candidates, noise: Noise, iterations: int) -> N
             else:
                 c.damping[k] *= 10.0
                 c.done[k] = promise[i] < UNSEEN or c.damping[k] > 1e8
+
+
+def _bending(z: Array, gradient: Array) -> Array:
+    """What the box adds to the curvature of cost / 2 at places z where its gradients are these, (K, D) to (K, D, D).
+
+    See `box_bending` of a mode, of which there is at most 1. Beside what the recordings tell it is nothing; where they
+    push against a bound it is all there is, and without it the step there would be of any length.
+    """
+    inward = 1 - 2 * expit(z)
+    bending = np.clip((gradient + inward) * inward, 0.0, 1.0)
+    return bending[:, :, None] * np.eye(z.shape[1])
 
 
 def apart(c: Candidates, k: int, j: int) -> float:
@@ -173,7 +191,9 @@ def _give_up_doubles(c: Candidates) -> None:
             c.cost[k], c.done[k] = np.inf, True
 
 
-def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, careful: bool = False) -> Array:
+def linearise(
+    problem: Problem, c: Candidates, noise: Noise, which: Index, *, careful: bool = False, keep: Index | None = None
+) -> Array:
     """Update the information matrices of the candidates `which`; returns the gradients of cost / 2, (n, D).
 
     Args:
@@ -183,13 +203,16 @@ def linearise(problem: Problem, c: Candidates, noise: Noise, which: Index, *, ca
         which: indices of candidates, (n,).
         careful: difference to both sides and take the smaller slope. A contact that opens or closes between two
             places is a jump, not a slope, and would pass for boundless information.
+        keep: indices of candidates whose `slopes` are kept.
     """
     d = len(problem.simulator.space)
     parts = problem.parts(c.robot[which], d)
     if len(parts) > 1:
-        return np.concatenate([linearise(problem, c, noise, which[p], careful=careful) for p in parts])
+        return np.concatenate([linearise(problem, c, noise, which[p], careful=careful, keep=keep) for p in parts])
     gradient = np.empty((len(which), d))
     for i, (k, slope) in enumerate(zip(which, _derivatives(problem, c, which, careful=careful), strict=True)):
+        if keep is not None and k in keep:
+            c.slopes[k] = slope
         white = noise.whiten(int(c.robot[k]), np.concatenate([c.residuals[k][None], slope]))
         # the weights of this place in iteratively reweighted least squares
         white *= np.sqrt(noise.scatter.weight((white[:1] ** 2).sum(2, keepdims=True)))

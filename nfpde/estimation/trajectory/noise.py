@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from nfpde.estimation.trajectory.chains import Chains, Factor
+from nfpde.estimation.trajectory.freedom import widening
 from nfpde.estimation.trajectory.student import GAUSSIAN
 from nfpde.sim import Whitening
 
@@ -25,12 +26,14 @@ class Scatter:
     process: covariance of what a window's simulation lacks                (C, C)
     degrees: degrees of freedom of the innovations; `GAUSSIAN` is a Gaussian
     scale: of the innovations' covariance
+    freedom: degrees of freedom to which all this is known, see `degrees_left`
     """
 
     sensor: Array
     process: Array
     degrees: float = GAUSSIAN
     scale: float = 1.0
+    freedom: float = np.inf
 
     @classmethod
     def white(cls, channels: int) -> Scatter:
@@ -49,6 +52,11 @@ class Scatter:
         1989).
         """
         return (self.degrees + len(self.process)) / (self.degrees + len(self.process) + 2)
+
+    @property
+    def believed(self) -> float:
+        """Scale of the innovations' covariance that residuals are weighed with: wider where few tell it."""
+        return self.scale * widening(self.freedom)
 
     @property
     def spread(self) -> float:
@@ -96,7 +104,7 @@ class Noise:
     @classmethod
     def alike(cls, scatter: Scatter, members: Sequence[Index]) -> Noise:
         """All windows alike and independent: errors of the states counted as the simulation's."""
-        white = np.asarray(np.linalg.inv(np.linalg.cholesky(scatter.scale * scatter.process)), np.float64)[None]
+        white = np.asarray(np.linalg.inv(np.linalg.cholesky(scatter.believed * scatter.process)), np.float64)[None]
         alone = np.zeros(sum(len(m) for m in members), bool)
         return cls(scatter, Whitening(white, np.zeros(white.shape), alone, scatter.degrees), members)
 
@@ -112,7 +120,7 @@ class Noise:
             members: indices of each robot's windows                       G arrays
         """
         factor = Factor.of(chains, *scatter.covariances(slopes), weights)
-        lower = np.linalg.cholesky(scatter.scale * factor.spread)
+        lower = np.linalg.cholesky(scatter.believed * factor.spread)
         own = np.asarray(np.linalg.inv(lower), np.float64)
         carry = np.zeros(own.shape)
         after = np.flatnonzero(chains.linked)
@@ -123,7 +131,8 @@ class Noise:
     def log_scale(self) -> float:
         """Half the log determinant of an innovation's covariance per channel: the log of a typical residual."""
         logs = np.linalg.slogdet(self.whitening.own)[1]
-        return -float(logs.mean()) / self.whitening.channels
+        # it is believed to be larger where few windows tell it
+        return -float(logs.mean()) / self.whitening.channels - 0.5 * float(np.log(widening(self.scatter.freedom)))
 
     @property
     def alone(self) -> Array:

@@ -28,6 +28,9 @@ NUMBERS_AT_ONCE = 1 << 23
 MATRICES = 13
 """Matrices of C x C doubles for every window that learning the noise holds at a time, at least (measured)."""
 
+COLUMNS = 4
+"""Columns of C doubles for every window and parameter that it holds beside them: slopes, and what solves for them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -117,7 +120,8 @@ class Problem:
         Raises:
             BadDataset: with the numbers, and what makes fewer of them.
         """
-        needed, there = 8 * MATRICES * len(self.windows) * self.channels**2, memory()
+        numbers = MATRICES * self.channels**2 + COLUMNS * self.channels * len(self.simulator.space)
+        needed, there = 8 * numbers * len(self.windows), memory()
         if there is not None and needed > there:
             raise BadDataset(
                 f"{len(self.windows)} windows of {self.channels} numbers each need about {needed / 2**30:.3g} GiB and "
