@@ -104,25 +104,11 @@ class MotorStrengthCommand(MotorStrength):
 
 
 @register
-class MotorStrengthGear(MotorStrength):
+class MotorStrengthGear(MotorStrengthCommand):
     """`motor_strength` of a servo as another gear: MuJoCo's `actuator_gear`, through which it also sees its joint."""
 
     name = "motor_strength_gear"
-    says = "motor_strength"
     sentence = "The transmission gives a fixed share of the torque, and of the motion that the servo sees."
-
-    @classmethod
-    def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """As for `motor_strength`, on position and velocity servos."""
-        return super().bounds_for(model, element, scales) if _feeds_back(model, element) else None
-
-    def bind(self, model: mujoco.MjModel) -> Self:
-        """See `Effect.bind`.
-
-        Raises:
-            BadEffect: an actuator that is no position or velocity servo.
-        """
-        return _servos_only(super().bind(model), model)
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
         """Scale the gear."""
