@@ -64,8 +64,12 @@ class DeadZone(Effect):
             return ctrl
         out = ctrl.copy()
         sent = self.motors.clamped(self.model, ctrl[:, :, self.motors.ctrls])
-        out[:, :, self.motors.ctrls] = sent - np.clip(sent, -values[:, :1, None], values[:, :1, None])
+        out[:, :, self.motors.ctrls] = self._passed(sent, values[:, :1, None])
         return out
+
+    def _passed(self, sent: Array, half: Array) -> Array:
+        """What of commands is beyond the zone."""
+        return sent - np.clip(sent, -half, half)
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Take the middle out of the errors of position servos: what the servo gives less goes into its bias."""
@@ -98,14 +102,9 @@ class DeadZoneGate(DeadZone):
     says = "dead_zone"
     sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold, then in full."
 
-    def command(self, ctrl: Array, values: Array, timestep: float) -> Array:
-        """Take out small commands of motors."""
-        if not len(self.motors.ids):
-            return ctrl
-        out = ctrl.copy()
-        sent = self.motors.clamped(self.model, ctrl[:, :, self.motors.ctrls])
-        out[:, :, self.motors.ctrls] = np.where(np.abs(sent) <= values[:, :1, None], 0.0, sent)
-        return out
+    def _passed(self, sent: Array, half: Array) -> Array:
+        """Commands that are not small, as they are."""
+        return np.where(np.abs(sent) <= half, 0.0, sent)
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Switch position servos off whose errors are small."""

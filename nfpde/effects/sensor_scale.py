@@ -30,7 +30,8 @@ class SensorScale(Effect):
     sentence = "The joint's sensor reports a fixed multiple of the motion: a wrong gear ratio or calibration."
     confounders = ("motor_strength", "time_scale", "joint_offset")
 
-    nq: int
+    read: Rows
+    """Where in a state what the sensor reports stands: positions, then speeds."""
     servos: Rows
 
     @classmethod
@@ -47,7 +48,7 @@ class SensorScale(Effect):
         bound = super().bind(model)
         if not all(is_axis(model, int(j)) for j in bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: it needs hinges or slides, name the ones you mean")
-        bound.nq = model.nq
+        bound.read = np.concatenate([bound.qposadr, model.nq + bound.dofs])
         bound.servos = servos_on(model, bound.ids)
         return bound
 
@@ -56,15 +57,13 @@ class SensorScale(Effect):
         model.actuator_biasprm[self.servos, 1:3] *= values[0]
 
     def to_simulated(self, state: Array, values: Array) -> Array:
-        """Divide positions and speeds by the scale."""
+        """Divide what is reported by the scale."""
         out = np.array(state)
-        out[..., self.qposadr] /= values
-        out[..., self.nq + self.dofs] /= values
+        out[..., self.read] /= values
         return out
 
     def to_measured(self, state: Array, values: Array) -> Array:
-        """Multiply positions and speeds by the scale."""
+        """Multiply what is reported by the scale."""
         out = np.array(state)
-        out[..., self.qposadr] *= values
-        out[..., self.nq + self.dofs] *= values
+        out[..., self.read] *= values
         return out

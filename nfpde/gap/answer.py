@@ -291,14 +291,16 @@ def _causes(outcome: Outcome) -> list[Cause]:
     for accepted, before in zip(outcome.accepted, outcome.without, strict=True):
         cause = outcome.cause(accepted.effect, outcome.final.fit, outcome.errors, before, outcome.final)
         own = called(accepted.effect)
-        rivals = {called(t.effect): t for t in reversed(accepted.rivals) if t.effect is not None}
-        others = [name for t in accepted.rivals if t.effect is not None and (name := called(t.effect)) != own]
-        others, text = list(dict.fromkeys(others)), ""
-        if others:
-            names, fit = (_called(own), _called(others[0])), rivals[others[0]].fit
-            text = separating_experiment(accepted.trial.fit, fit, outcome.recordings.held, outcome.sigma, names)
-        others = [Rival(*name) for name in others]
-        readings = [t.effect.name for t in accepted.rivals if t.effect is not None and called(t.effect) == own]
+        rivals, readings, text = dict[tuple[str, str], Fit](), list[str](), ""
+        for trial in accepted.rivals:
+            if trial.effect is not None and called(trial.effect) == own:
+                readings.append(trial.effect.name)
+            elif trial.effect is not None:
+                rivals.setdefault(called(trial.effect), trial.fit)
+        for name, fit in list(rivals.items())[:1]:
+            names, held = (_called(own), _called(name)), outcome.recordings.held
+            text = separating_experiment(accepted.trial.fit, fit, held, outcome.sigma, names)
+        others = [Rival(*name) for name in rivals]
         cause = replace(cause, indistinguishable=others, separating_experiment=text, other_readings=readings)
         out.append(cause)
     return sorted(out, key=lambda c: -c.shrink)

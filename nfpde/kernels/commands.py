@@ -1,6 +1,6 @@
 """Effects on the way from the recorded commands to the actuators, one kernel each.
 
-All have the same arguments. `signal` holds the commands of every physics step, those before the window's start
+All have the same arguments, but for what they get of each element. `signal` holds the commands of every physics step, those before the window's start
 included, and is changed in place, by one thread for each world and command.
 """
 
@@ -90,3 +90,33 @@ def _lag_commands(
         u = wp.float64(signal_out[worldid, s, ctrlid])
         signal_out[worldid, s, ctrlid] = wp.float32(u + (y - u) * mean)
         y = u + (y - u) * kept
+
+
+@wp.kernel(enable_backward=False)
+def _play_commands(
+    # In:
+    values_in: wp.array2d[wp.float64],
+    active_in: wp.array2d[int],
+    world_row_in: wp.array[int],
+    ctrlid_in: wp.array[int],
+    low_in: wp.array[float],
+    high_in: wp.array[float],
+    gear_in: wp.array[float],
+    first_in: int,
+    effect_in: int,
+    timestep_in: wp.float64,
+    # Out:
+    signal_out: wp.array3d[float],
+):
+    """Backlash of a servo's command: its aim stays within half the width of it."""
+    worldid, i = wp.tid()
+    row = world_row_in[worldid]
+    if active_in[row, effect_in] == 0:
+        return
+    half = 0.5 * float(values_in[row, first_in]) * gear_in[i]
+    ctrlid = ctrlid_in[i]
+    aim = wp.clamp(signal_out[worldid, 0, ctrlid], low_in[i], high_in[i])
+    for s in range(signal_out.shape[1]):
+        sent = wp.clamp(signal_out[worldid, s, ctrlid], low_in[i], high_in[i])
+        aim = wp.clamp(aim, sent - half, sent + half)
+        signal_out[worldid, s, ctrlid] = aim

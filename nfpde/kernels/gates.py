@@ -1,4 +1,4 @@
-"""Dead zones that give nothing within and all beyond, and play in commands."""
+"""Dead zones that give nothing within, and all beyond."""
 
 import warp as wp
 
@@ -69,33 +69,3 @@ def _switch_servos(
         for j in range(10):
             actuator_gainprm_out[worldid, k + j] = 0.0
             actuator_biasprm_out[worldid, k + j] = 0.0
-
-
-@wp.kernel(enable_backward=False)
-def _play_commands(
-    # In:
-    values_in: wp.array2d[wp.float64],
-    active_in: wp.array2d[int],
-    world_row_in: wp.array[int],
-    ctrlid_in: wp.array[int],
-    low_in: wp.array[float],
-    high_in: wp.array[float],
-    gear_in: wp.array[float],
-    first_in: int,
-    effect_in: int,
-    timestep_in: wp.float64,
-    # Out:
-    signal_out: wp.array3d[float],
-):
-    """Backlash of a servo's command: its aim stays within half the width of it."""
-    worldid, i = wp.tid()
-    row = world_row_in[worldid]
-    if active_in[row, effect_in] == 0:
-        return
-    half = 0.5 * float(values_in[row, first_in]) * gear_in[i]
-    ctrlid = ctrlid_in[i]
-    aim = wp.clamp(signal_out[worldid, 0, ctrlid], low_in[i], high_in[i])
-    for s in range(signal_out.shape[1]):
-        sent = wp.clamp(signal_out[worldid, s, ctrlid], low_in[i], high_in[i])
-        aim = wp.clamp(aim, sent - half, sent + half)
-        signal_out[worldid, s, ctrlid] = aim

@@ -29,33 +29,6 @@ def _offset_positions(
 
 
 @wp.kernel(enable_backward=False)
-def _scale_motion(
-    # In:
-    values_in: wp.array2d[wp.float64],
-    active_in: wp.array2d[int],
-    world_row_in: wp.array[int],
-    qposid_in: wp.array[int],
-    dofid_in: wp.array[int],
-    first_in: int,
-    step_in: wp.array[int],
-    nq_in: int,
-    direction_in: int,
-    # Out:
-    state_out: wp.array3d[float],
-):
-    """Sensor scale: measured position and speed are the true ones times a factor."""
-    worldid, i = wp.tid()
-    h = wp.min(step_in[0], state_out.shape[1] - 1)
-    scale = float(values_in[world_row_in[worldid], first_in])
-    if direction_in < 0:
-        scale = 1.0 / scale
-    q = qposid_in[i]
-    v = nq_in + dofid_in[i]
-    state_out[worldid, h, q] = scale * state_out[worldid, h, q]
-    state_out[worldid, h, v] = scale * state_out[worldid, h, v]
-
-
-@wp.kernel(enable_backward=False)
 def _scale_numbers(
     # In:
     values_in: wp.array2d[wp.float64],
@@ -69,7 +42,7 @@ def _scale_numbers(
     # Out:
     state_out: wp.array3d[float],
 ):
-    """Sensor scale of positions, or time scale of speeds: what is measured is the true one times a factor."""
+    """Sensor scale, or time scale of speeds: what is measured is the true one times a factor."""
     worldid, i = wp.tid()
     h = wp.min(step_in[0], state_out.shape[1] - 1)
     scale = float(values_in[world_row_in[worldid], first_in])

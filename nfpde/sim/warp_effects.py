@@ -61,7 +61,7 @@ COMMANDS = {
     "actuation_delay": Launch(commands._delay_commands, ("ctrls",)),
     "actuator_bias": Launch(commands._offset_commands, ("ctrls",)),
     "actuator_lag": Launch(commands._lag_commands, ("ctrls",)),
-    "backlash_command": Launch(gates._play_commands, ("drives.ctrls", "drives.low", "drives.high", "gears")),
+    "backlash_command": Launch(commands._play_commands, ("drives.ctrls", "drives.low", "drives.high", "gears")),
     "dead_zone": Launch(drives._cut_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "dead_zone_gate": Launch(gates._gate_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "observation_delay": Launch(commands._delay_commands, ("ctrls",)),
@@ -109,9 +109,9 @@ STEPS = {
 SENSORS = {
     "joint_offset": Launch(sensors._offset_positions, ("qposadr", "dofs")),
     "joint_offset_logged": Launch(sensors._offset_positions, ("qposadr", "dofs")),
-    "sensor_scale": Launch(sensors._scale_motion, ("qposadr", "dofs")),
-    "sensor_scale_logged": Launch(sensors._scale_motion, ("qposadr", "dofs")),
-    "sensor_scale_position": Launch(sensors._scale_numbers, ("qposadr",)),
+    "sensor_scale": Launch(sensors._scale_numbers, ("read",)),
+    "sensor_scale_logged": Launch(sensors._scale_numbers, ("read",)),
+    "sensor_scale_position": Launch(sensors._scale_numbers, ("read",)),
     "time_scale_counted": Launch(sensors._scale_numbers, ("speeds",)),
 }
 """Effects on what is measured of joints; all kernels have the same other arguments, see `nfpde.kernels.sensors`."""
