@@ -1,7 +1,7 @@
 """Effects on the way from the recorded commands to the actuators, one kernel each.
 
-All have the same arguments, but for what they get of each element. `signal` holds the commands of every physics step, those before the window's start
-included, and is changed in place, by one thread for each world and command.
+All have the same arguments, but for what they get of each element. `signal` holds the commands of every physics step,
+those before the window's start included, and is changed in place, by one thread for each world and command.
 """
 
 import warp as wp
