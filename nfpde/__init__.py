@@ -27,6 +27,7 @@ from nfpde.estimation import TrajectoryConfig as TrajectoryConfig
 from nfpde.estimation import fit as fit
 from nfpde.evaluate import Evaluation as Evaluation
 from nfpde.evaluate import evaluate as evaluate
+from nfpde.explained import explained_space as explained_space
 from nfpde.gap import GapReport as GapReport
 from nfpde.gap import diagnose_gap as diagnose_gap
 from nfpde.parameters import Parameter as Parameter

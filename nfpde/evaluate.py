@@ -148,8 +148,8 @@ def evaluate(
         Distances, coverage and log density.
 
     Raises:
-        SpaceMismatch: A distribution and the truth are about different parameters.
-        BadInput: Fewer than 2 samples, or a seed out of range.
+        SpaceMismatch: A distribution and the truth are about different parameters; bounds and order may differ.
+        BadInput: Fewer than 2 samples, a seed out of range, or true parameters outside of the distribution's bounds.
     """
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer):
         raise BadInput(f"samples is {samples!r}; it must be an integer of at least 2")
@@ -160,11 +160,11 @@ def evaluate(
         raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
     seed = int(seed)
     space = distribution.space
-    space.check_same(truth.space)
+    truth = truth.over(space)
     rng = np.random.default_rng(seed)
     rows = {"estimate": distribution.sample(samples, seed)}
     if initial is not None:
-        initial.space.check_same(truth.space)
+        initial.space.check_same(space)
         rows["initial"] = initial.sample(samples, seed)
     rows["uniform"] = space.uniform(samples, rng)
     to_population = {}

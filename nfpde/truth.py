@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.errors import BadInput, NfpdeError
-from nfpde.parameters import ParameterSpace
+from nfpde.errors import BadInput, NfpdeError, SpaceMismatch
+from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.storage import read_json, write_whole
 
 SCHEMA_VERSION = 1
@@ -120,6 +120,33 @@ class Truth:
         if self.dataset is not None and (not isinstance(self.dataset, str) or not self.dataset):
             raise BadInput(f"dataset must be a text, the content hash of the recordings; got {self.dataset!r}")
 
+    def over(self, space: ParameterSpace) -> Truth:
+        """The same of a space with the same parameters, in its order and with its bounds.
+
+        A fit may have searched in other bounds than those in which the robots were drawn.
+
+        Raises:
+            SpaceMismatch: The spaces are about different parameters; names those that one of them lacks.
+            BadInput: True parameters lie outside of the other bounds.
+        """
+        if space == self.space:
+            return self
+        own, other = ([_unbounded(p) for p in s] for s in (self.space, space))
+        if set(own) != set(other):
+            lacks = [p.name for p, key in zip(self.space, own, strict=True) if key not in other]
+            more = [p.name for p, key in zip(space, other, strict=True) if key not in own]
+            raise SpaceMismatch(
+                "the true parameters and the other ones are not the same, apart from their bounds; only the truth has "
+                f"{', '.join(lacks) or 'none'}, only the others {', '.join(more) or 'none'} (component, relative and "
+                "scale_inertia count, too)"
+            )
+        order = [own.index(key) for key in other]
+        people = self.population
+        if people is not None:
+            covariances = people.covariances[:, order][:, :, order]
+            people = Population(people.weights, people.means[:, order], covariances)
+        return Truth(space, self.xi[:, order], self.episodes, people, self.dataset)
+
     def save(self, path: Path | str) -> None:
         """Write everything as one JSON file."""
         content: dict[str, Any] = {
@@ -154,6 +181,11 @@ class Truth:
             raise BadInput(f"{path}: the entry {error} is missing") from None
         except NfpdeError as error:
             raise BadInput(f"{path}: {error}") from None
+
+
+def _unbounded(p: Parameter) -> tuple[object, ...]:
+    """What a parameter is about, whatever its bounds and its name."""
+    return p.field, p.target, p.component, p.relative, p.scale_inertia
 
 
 def _population(entry: object) -> Population | None:

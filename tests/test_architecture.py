@@ -18,10 +18,12 @@ ROWS = [
     {"dataset", "truth"},
     {"effects"},
     {"sim", "flow", "ot"},
+    {"live", "nearby"},
     {"distribution"},
     {"corner", "benchmarks", "losses"},
     {"estimation", "evaluate", "rl"},
     {"gap"},
+    {"explained"},
     {"bench"},
     {"cli"},
 ]

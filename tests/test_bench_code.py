@@ -25,7 +25,7 @@ def test_code_is_named_by_what_runs(tmp_path, monkeypatch):
     seen = [write("bench/fit.py", "0"), write("bench/fit.py", "def f():\n    from nfpde.losses import g")]
     seen += [write("losses.py", "1"), write("kernels/loss.py", "0"), write("kernels/loss.py", "1")]
     assert len({*seen}) == 5
-    for name in ("rl/live.py", "bench/ot.py", "kernels/loss.pyc"):
+    for name in ("rl/train.py", "bench/ot.py", "kernels/loss.pyc"):
         assert write(name, "1") == seen[-1]
 
 

@@ -162,7 +162,14 @@ TABLE = '[[parameter]]\nfield = "body_mass"\ntarget = "{target}"\nlow = {low}\nh
 
 BAD = {
     "unknown robot": ("collect ant --out {tmp}/x", "no benchmark robot is called 'ant'; there are: hopper, walker2d"),
-    "no episodes": ("collect hopper --episodes 0 --out {tmp}/x", "episodes and steps must be at least 1, got 0"),
+    "no episodes": (
+        "collect hopper --episodes 0 --out {tmp}/x",
+        "steps and robots must be at least 1, got 0",
+    ),
+    "more robots than episodes": (
+        "collect hopper --episodes 2 --robots 3 --out {tmp}/x",
+        "3 robots need as many episodes at least, got 2",
+    ),
     "negative seed": ("collect hopper --seed -1 --out {tmp}/x", "seed must be at least 0, got -1"),
     "out is a file": ("collect hopper --episodes 1 --steps 2 --out {tmp}/file", "/file: File exists"),
     "no data": ("fit hopper {tmp}/none.npz --out {tmp}/x", "none.npz: the file does not exist"),
@@ -184,7 +191,7 @@ BAD = {
     "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer from 0 to 92233"),
     "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "control_dt is 0.0; it must be a positive number"),
     "too long": ("fit hopper {data} --out {tmp}/x --horizon 500", "500"),
-    "truth of others": ("evaluate {fit} --truth {tmp}/other.json", "parameters against 6: body_mass:torso | body"),
+    "truth of others": ("evaluate {fit} --truth {tmp}/other.json", "body_mass:foot, dof_damping:thigh_joint"),
     "no truth": ("evaluate {fit} --truth {tmp}/none.json", "none.json cannot be read"),
     "truth is no json": ("evaluate {fit} --truth {tmp}/broken.toml", "broken.toml is not JSON"),
     "no fit": ("evaluate {tmp} --truth {data}/truth.json", "distribution.json cannot be read (No such file or direct"),

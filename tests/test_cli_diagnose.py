@@ -1,13 +1,17 @@
 """`nfpde diagnose` from the command line."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
 from nfpde.cli import app, diagnose
 from nfpde.dataset import save_dataset
+from nfpde.parameters import ParameterSpace
+from nfpde.sim import MujocoSimulator
 from tests.command_line import run
+from tests.gap_reports import arm, gap_report
 from tests.gap_systems import ARM, record
 
 
@@ -40,6 +44,43 @@ def test_it_says_so_in_plain_words(diagnosed):
     _, result = diagnosed
     assert "joint_spring at elbow" in result.output
     assert "report.html" in result.output
+
+
+def test_it_writes_what_to_fit_next(diagnosed):
+    """The spring's parameters, as `nfpde fit --params` reads them."""
+    folder, result = diagnosed
+    assert f"--params {folder / 'out' / 'explained.toml'}" in result.output
+    space = ParameterSpace.from_toml(folder / "out" / "explained.toml")
+    assert space.names == ["joint_spring.stiffness:elbow", "joint_spring.rest:elbow"]
+    assert (space[0].low, space[0].high) == pytest.approx((1.5, 4.5), rel=0.03)  # sensor noise of a thousandth
+    MujocoSimulator(folder / "arm.xml", space)
+
+
+@pytest.mark.parametrize(("verdict", "written"), [("unexplained", False), ("no_gap", False), ("effects", True)])
+def test_nothing_of_an_earlier_diagnosis_is_left(diagnosed, monkeypatch, tmp_path, verdict, written):
+    """Where there is nothing to fit next there is no file, and no word of one."""
+    folder, _ = diagnosed
+    (tmp_path / "explained.toml").write_text("of another day")
+    found = gap_report(arm(), verdict)
+    found = replace(found, effects=found.effects[:1])  # friction at the elbow
+    monkeypatch.setattr(diagnose, "diagnose_gap", lambda *_, **__: found)
+    status, out, err = run("diagnose", folder / "arm.xml", folder / "data.npz", "--out", tmp_path)
+    assert (status, err) == (0, "")
+    assert (tmp_path / "explained.toml").exists() == ("what to fit next" in out) == written
+    if written:
+        assert "coulomb_friction" in (tmp_path / "explained.toml").read_text()
+
+
+def test_its_own_output_is_no_input(diagnosed):
+    """A second diagnosis into the same folder would take away the file it was given."""
+    folder, _ = diagnosed
+    own = folder / "out" / "explained.toml"
+    call = ("diagnose", folder / "arm.xml", folder / "data.npz", "--params", own, "--out", folder / "out")
+    status, _, err = run(*call)
+    assert status == 1
+    assert "explained.toml is what the diagnosis of" in err
+    assert "give another folder" in err
+    assert own.exists()
 
 
 def test_a_folder_that_cannot_be_made_is_told_first(diagnosed, monkeypatch):

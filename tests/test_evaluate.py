@@ -14,6 +14,7 @@ from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput, SpaceMismatch
 from nfpde.evaluate import evaluate
 from nfpde.flow import GaussianMixture, build_flow
+from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.truth import Population, Truth
 
@@ -134,11 +135,25 @@ def test_seeds_out_of_range_are_refused(seed):
 
 
 def test_other_spaces_are_refused():
-    """Estimate, initial distribution and truth must be about the same parameters."""
-    other = ParameterSpace([SPACE[0], Parameter("damping", low=0.0, high=0.2)])
-    with pytest.raises(SpaceMismatch, match=r"damping.*high is 0\.2 here and 0\.1 there"):
+    """Estimate and truth must be about the same parameters; estimate and initial distribution of one space."""
+    other = ParameterSpace([SPACE[0], Parameter("friction", low=0.0, high=0.1)])
+    with pytest.raises(SpaceMismatch, match=r"only the truth has damping, only the others friction"):
         evaluate(ParameterDistribution(other, build_flow(2)), make_truth())
-    with pytest.raises(SpaceMismatch, match="damping"):
-        evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), initial=ParameterDistribution(other, build_flow(2)))
+    wider = ParameterSpace([SPACE[0], Parameter("damping", low=0.0, high=0.2)])
+    with pytest.raises(SpaceMismatch, match=r"damping.*high is 0\.2 here and 0\.1 there"):
+        evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), initial=ParameterDistribution(wider, build_flow(2)))
     with pytest.raises(BadInput, match="samples must be at least 2, got 1"):
         evaluate(gaussian([4.0, 0.05], 1.0), make_truth(), samples=1)
+
+
+def test_a_fit_may_have_other_bounds_and_another_order():
+    """Distances are in physical units, so that they are those of the same samples in the truth's own space."""
+    turned = ParameterSpace(
+        [Parameter("damping", low=-0.3, high=0.2), Parameter("mass", low=0.0, high=20.0, unit="kg")]
+    )
+    estimate = ParameterDistribution(turned, build_flow(2))
+    truth = make_truth()
+    result = evaluate(estimate, truth, samples=200)
+    xi = estimate.sample(200, 0)[:, ::-1]
+    assert result.names == ["damping", "mass"]
+    assert result.to_episodes["estimate"].physical == pytest.approx(emd(xi, truth.xi).cost, rel=1e-9)  # order of sums

@@ -10,10 +10,10 @@ import pytest
 import torch
 from stable_baselines3 import SAC
 
+from nfpde import live as physics
 from nfpde.errors import BadInput, SimulationDiverged
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.rl import Policy, RandomizedParameters, SacConfig, TrainResult, evaluate_policy, make_environment, train_sac
-from nfpde.rl import live as physics
 from nfpde.rl.learner import SacLearner
 
 NUMPY: Any = np  # its numbers are no `int` to a type checker

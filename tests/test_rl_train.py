@@ -271,7 +271,7 @@ def test_replay_files_restore_the_ring(tmp_path, size):
 
 def test_divergence_is_recorded_and_stops_training(tmp_path, monkeypatch):
     """A target that blows up has no return; a training where it happens often stops."""
-    from nfpde.rl import live
+    from nfpde import live
 
     inner = live.LivePhysics._simulate
 

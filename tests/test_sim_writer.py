@@ -317,6 +317,17 @@ def test_parameters_that_matter_only_through_another_are_accepted():
     MujocoSimulator(load(PENDULUM), ParameterSpace([rest, Parameter("jnt_stiffness", "hinge", 0.0, 5.0)]))
 
 
+def test_one_parameter_of_an_effect_that_matters_excuses_the_others():
+    """A planar pendulum feels no roll of its base; a force on what is fixed to the world moves nothing."""
+    tilt = effect("gravity_tilt", roll=(-0.1, 0.1), pitch=(-0.1, 0.1))
+    MujocoSimulator(load(PENDULUM), effects=[tilt])
+    with pytest.raises(BadParameter, match=r"^gravity_tilt.roll \(.*gravity_tilt.pitch \(.* changes nothing"):
+        MujocoSimulator(load(PENDULUM.replace("<option", "<option gravity='0 0 0'")), effects=[tilt])
+    push = effect("external_force", "lamp", **{f"force_{axis}": (-1.0, 1.0) for axis in "xyz"})
+    with pytest.raises(BadParameter, match=r"^external_force.force_x:lamp \("):
+        MujocoSimulator(load(INERT), effects=[tilt, push])
+
+
 def test_parameters_that_diverge_everywhere_are_refused():
     """Springs all too stiff for the timestep leave nothing to compare."""
     with pytest.raises(BadParameter, match="every simulation within the bounds diverges; narrow the bounds"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from nfpde.errors import BadInput
+from nfpde.errors import BadInput, SpaceMismatch
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.truth import Population, Truth
 
@@ -35,6 +35,39 @@ def test_saved_and_loaded_is_the_same_to_the_bit(tmp_path):
             assert back.population is not None
             for name in ("weights", "means", "covariances"):
                 np.testing.assert_array_equal(getattr(back.population, name), getattr(population, name))
+
+
+def test_over_another_space_it_says_the_same():
+    """Order and bounds are the other space's; vectors, population and names go along."""
+    other = ParameterSpace([Parameter("damping", low=-1.0, high=2.0), Parameter("mass", low=0.0, high=9.0, name="m")])
+    turned = Truth(SPACE, XI, ["a", "b"], POPULATION, "5ca1ab1e").over(other)
+    assert (turned.space, turned.episodes, turned.dataset) == (other, ("a", "b"), "5ca1ab1e")
+    np.testing.assert_array_equal(turned.xi, XI[:, ::-1])
+    assert turned.population is not None
+    np.testing.assert_array_equal(turned.population.means, POPULATION.means[:, ::-1])
+    np.testing.assert_array_equal(turned.population.covariances, POPULATION.covariances[:, ::-1, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("second", "error", "text"),
+    [
+        (
+            Parameter("friction", low=0.0, high=1.0),
+            SpaceMismatch,
+            "only the truth has damping, only the others",
+        ),
+        (
+            Parameter("damping", low=0.0, high=1.0, relative=True),
+            SpaceMismatch,
+            "relative and scale_inertia",
+        ),
+        (Parameter("damping", low=0.2, high=1.0), BadInput, r"row 0: damping = 0\.1 lies outside \[0\.2, 1\]"),
+    ],
+)
+def test_over_spaces_that_do_not_fit(second, error, text):
+    """Other parameters, the same in another sense, and bounds that leave the truth out."""
+    with pytest.raises(error, match=text):
+        Truth(SPACE, XI, ["a", "b"]).over(ParameterSpace([SPACE[0], second]))
 
 
 def test_population_draws_follow_the_truncated_mixture():

@@ -2,6 +2,8 @@
 
 from nfpde.benchmarks.collect import collect as collect
 from nfpde.benchmarks.collect import record as record
+from nfpde.benchmarks.hidden import Hidden as Hidden
+from nfpde.benchmarks.hidden import hide as hide
 from nfpde.benchmarks.pendulum import PAYLOAD_ID as PAYLOAD_ID
 from nfpde.benchmarks.pendulum import PENDULUM_ID as PENDULUM_ID
 from nfpde.benchmarks.robots import BENCHMARKS as BENCHMARKS

@@ -12,7 +12,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from nfpde.cli.models import DEVICE_HELP, MODEL_HELP, model_file, read_dataset
-from nfpde.gap import diagnose_gap, write_report
+from nfpde.errors import BadInput
+from nfpde.explained import explained_space
+from nfpde.gap import GapReport, diagnose_gap, write_report
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -50,11 +52,15 @@ def command(
 ) -> None:
     """Diagnose the gap between a model and recordings: where it lies, which effects cause it, how far it shrinks.
 
-    Writes diagnosis.json, report.html (opens offline) and summary.png.
+    Writes diagnosis.json, report.html (opens offline) and summary.png, and where the gap is explained explained.toml:
+    the parameters for `nfpde fit`, those of the effects found among them.
     """
     space = None if params is None else ParameterSpace.from_toml(params)
     dataset = read_dataset(data, resample, model)
     nominal = model_file(model)
+    explained = out / "explained.toml"
+    if params is not None and params.resolve() == explained.resolve():
+        raise BadInput(f"{params} is what the diagnosis of {out} writes; give another folder for this one")
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
     with _telling(quiet) as tell:
         found = diagnose_gap(nominal, dataset, space, seed=seed, windows=windows, device=device, report=tell)
@@ -64,4 +70,15 @@ def command(
         typer.echo(line)
     typer.echo(f"{path}: the answer, for machines")
     typer.echo(f"{page}: the answer, with pictures")
+    if _write_explained(found, space, explained):
+        typer.echo(f"{explained}: what to fit next: nfpde fit {model} {data} --params {explained} --out ...")
     typer.echo(f"simulated on {found.device}")
+
+
+def _write_explained(found: GapReport, space: ParameterSpace | None, path: Path) -> bool:
+    """Write the parameters of the next fit, if there are any; none of an earlier diagnosis may pass for them."""
+    path.unlink(missing_ok=True)
+    if found.verdict == "unexplained" or not (found.effects or space):
+        return False
+    explained_space(found, space).to_toml(path)
+    return True

@@ -10,10 +10,11 @@ import typer
 from rich.console import Console
 
 from nfpde.distribution import ParameterDistribution
-from nfpde.errors import BadInput
+from nfpde.errors import BadInput, NfpdeError
 from nfpde.estimation.accuracy import accuracy
 from nfpde.estimation.result import SCHEMA_VERSION
 from nfpde.evaluate import evaluate
+from nfpde.parameters import ParameterSpace
 from nfpde.storage import read_json, write_whole
 from nfpde.truth import Truth
 
@@ -30,9 +31,9 @@ def command(
 
     Writes evaluation.json and evaluation.png into DIR.
     """
-    known = Truth.load(truth)
-    estimate = ParameterDistribution.load(folder / "distribution", known.space)
-    initial = ParameterDistribution.load(folder / "initial", known.space)
+    estimate = ParameterDistribution.load(folder / "distribution")
+    initial = ParameterDistribution.load(folder / "initial", estimate.space)
+    known = _over(Truth.load(truth), estimate.space, truth)
     fit = read_json(folder / "fit.json", SCHEMA_VERSION) if (folder / "fit.json").exists() else {}
     _check_recordings(fit.get("dataset"), folder / "fit.json", truth, known.dataset)
     result = evaluate(estimate, known, initial=initial, samples=samples, seed=seed)
@@ -51,6 +52,13 @@ def command(
     )
     typer.echo(f"{folder / 'evaluation.json'}: all figures")
     typer.echo(f"{picture}: the distribution, the robots' true parameters (points) and their population (outlines)")
+
+
+def _over(known: Truth, space: ParameterSpace, path: Path) -> Truth:
+    try:
+        return known.over(space)
+    except NfpdeError as error:
+        raise type(error)(f"{path}, beside the parameters of the fit: {error}") from None
 
 
 def _check_recordings(fitted: object, fit: Path, truth: Path, recorded: str | None) -> None:

@@ -35,6 +35,7 @@ from nfpde.effects.effect import Quantity as Quantity
 from nfpde.effects.effect import World as World
 from nfpde.effects.registry import all_candidates as all_candidates
 from nfpde.effects.registry import effect as effect
+from nfpde.effects.registry import effect_class as effect_class
 from nfpde.effects.registry import effect_names as effect_names
 from nfpde.effects.registry import effects_in as effects_in
 from nfpde.effects.registry import register as register

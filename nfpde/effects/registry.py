@@ -49,9 +49,18 @@ def effect(name: str, target: Target = None, **bounds: Sequence[float]) -> Effec
         >>> effect("actuation_delay", "*", delay=(0.0, 0.05)).parameters[0].name
         'actuation_delay.delay:*'
     """
+    return effect_class(name)(target, **bounds)
+
+
+def effect_class(name: str) -> type[Effect]:
+    """The class of an effect, which knows what its parameters are called and which values physics allows.
+
+    Raises:
+        BadEffect: no such effect (the message lists them).
+    """
     if name not in _REGISTRY:
         raise BadEffect(f"no effect is called {name!r}; known: {', '.join(effect_names())}")
-    return _REGISTRY[name](target, **bounds)
+    return _REGISTRY[name]
 
 
 def all_candidates(model: mujoco.MjModel, scales: DataScales, exclude: Collection[str] = ()) -> list[Effect]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nfpde.errors import BadInput, BadParameter, SimulationDiverged
+from nfpde.live import LivePhysics, PhysicsDiverged
 from nfpde.parameters import ParameterSpace
-from nfpde.rl.live import LivePhysics, PhysicsDiverged
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.effects import effect_names
 from nfpde.errors import BadParameter
+from nfpde.parameters import ParameterSpace
 from nfpde.sim.simulator import Array, Simulator
 
 STARTS = 8
@@ -22,7 +25,8 @@ LENGTHS = (5, 100, 1000)
 def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
     """Raise unless every parameter changes some simulation by more than rounding.
 
-    All other parameters are at random places in their bounds, because one may matter only through another; of several
+    Of an effect with several parameters one is enough: a tilt of the base about one axis moves no planar robot. All
+    other parameters are at random places in their bounds, because one may matter only through another; of several
     models every one is tried, because an element may matter in one of them only.
 
     Raises:
@@ -42,9 +46,9 @@ def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
             low, high = np.split(ends, 2)
             same = np.isclose(low, high, rtol=ROUNDING * length, atol=ROUNDING * length, equal_nan=True)
             silent = silent[same.all(axis=(1, 2, 3))]
-            if not len(silent):
+            if not len(silent) or not _wholly(space, silent):
                 return
-    names = ", ".join(f"{p.name} ({p.low:g} against {p.high:g})" for p in (space.parameters[i] for i in silent))
+    names = ", ".join(f"{p.name} ({p.low:g} against {p.high:g})" for p in (space[i] for i in _wholly(space, silent)))
     if np.isnan(ends).all():
         raise BadParameter(f"{names}: every simulation within the bounds diverges; narrow the bounds")
     raise BadParameter(
@@ -53,6 +57,14 @@ def refuse_inert(simulator: Simulator, model: mujoco.MjModel) -> None:
         "ratios of masses matter where nothing but weight acts. Take the parameter out, or pass check_influence=False "
         "if it matters only in states that random motion does not reach"
     )
+
+
+def _wholly(space: ParameterSpace, silent: NDArray[np.intp]) -> list[int]:
+    """Of parameters without influence those that no other parameter of the same effect excuses."""
+    of = [(p.field.partition(".")[0], p.target) for p in space]
+    heard = {of[i] for i in range(len(space)) if i not in silent}
+    known = effect_names()
+    return [int(i) for i in silent if of[i][0] not in known or of[i] not in heard]
 
 
 def _of_every_model(simulator: Simulator, xi: Array) -> list[Array]:

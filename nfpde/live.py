@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class PhysicsDiverged(Exception):
-    """Ends the environment's step or reset from inside; `RandomizedParameters` catches it."""
+    """Ends the environment's step or reset from inside; whoever steps it catches it."""
 
 
 class LivePhysics:
@@ -97,6 +97,11 @@ class LivePhysics:
                 set_field(model, name, field[0])
         self._past = self._before_step = None
 
+    def measured(self) -> Array:
+        """What sensors report of the state as it is now, (nq+nv,)."""
+        data = self.env.data
+        return self._effects.to_measured(np.concatenate([data.qpos, data.qvel])[None, None])[0, 0]
+
     def release(self) -> None:
         """Give the environment its own methods back, and its model the nominal parameters and its own solver."""
         self.write(None)
@@ -167,8 +172,7 @@ class LivePhysics:
     def _observe(self) -> Any:
         """The environment's observation, computed from the measured state."""
         data, nq = self.env.data, self.env.model.nq
-        true = np.concatenate([data.qpos, data.qvel])
-        measured = self._effects.to_measured(true[None, None])[0, 0]
+        true, measured = np.concatenate([data.qpos, data.qvel]), self.measured()
         try:
             data.qpos[:], data.qvel[:] = measured[:nq], measured[nq:]
             return self._own_observation()
