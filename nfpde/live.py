@@ -74,6 +74,11 @@ class LivePhysics:
         """The environment's model before any parameter was written, as `load_model` prepares it."""
         return self._simulator.model
 
+    @property
+    def memory_time(self) -> float:
+        """How long [s] a command goes on to matter under the effects, at most."""
+        return self._simulator.memory_time
+
     def write(self, xi: Array | None) -> None:
         """Give the model the parameters xi (D,), or its nominal ones (None); to be called before the inner reset."""
         model, writer = self.env.model, self._simulator.writer

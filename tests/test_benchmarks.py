@@ -213,8 +213,8 @@ def test_seeds():
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"episodes": 0}, "episodes and steps must be at least 1, got 0 and 150"),
-        ({"steps": 0}, "episodes and steps must be at least 1, got 10 and 0"),
+        ({"episodes": 0}, "episodes, steps and robots must be at least 1, got 0, 150 and 0"),
+        ({"steps": 0}, "episodes, steps and robots must be at least 1, got 10, 0 and 10"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"target": "ring"}, "no target population is called 'ring'; there are: gaussian, mixture"),
     ],

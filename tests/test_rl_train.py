@@ -117,7 +117,7 @@ def test_ctrl_c_keeps_the_last_round(tmp_path, monkeypatch):
     monkeypatch.setattr(SacLearner, "run_round", interrupt)
     with pytest.raises(KeyboardInterrupt, match="holds the state after 160 control steps"):
         train(tmp_path)
-    assert load_policy(tmp_path).nobservation == 3
+    assert load_policy(tmp_path).nobservation == 5  # and two past commands, which the delay holds back
     (tmp_path / "replay" / "000000000160-000000000320.npz").write_bytes(b"half")
     (tmp_path / "replay" / "000000000160-000000000320.tmp").write_bytes(b"half")
     assert train(tmp_path).after.step == 480
@@ -186,7 +186,8 @@ def test_outputs(whole):
 
 def test_nominal_baseline(tmp_path):
     """The policy trained on the nominal model is another one, evaluated on the same target, and in the report."""
-    result = train(tmp_path, 160, nominal_baseline=True, target=Truth(SPACE, np.array(TARGET), ["a", "b"]))
+    truth = Truth(SPACE, np.array(TARGET), ["a", "b"])
+    result = train(tmp_path, 160, nominal_baseline=True, target=truth, past_commands=0)
     assert result.baseline is not None
     assert result.baseline.before.target == result.before.target  # same untrained policy, same robots
     assert result.baseline.before.training != result.before.training

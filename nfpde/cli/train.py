@@ -27,6 +27,10 @@ def command(
         int, typer.Option(help="episodes of an evaluation; robots beyond are left out")
     ] = 20,
     nominal_baseline: Annotated[bool, typer.Option(help="also train on the nominal model, and compare")] = False,
+    past_commands: Annotated[
+        int | None,
+        typer.Option(help="own last commands that the policy sees; by default as many as delays hold back"),
+    ] = None,
     seed: Annotated[int, typer.Option(help="of everything random")] = 0,
     device: Annotated[
         Literal["auto", "cpu", "cuda"], typer.Option(help="for the networks; auto is CUDA where there is one")
@@ -52,6 +56,7 @@ def command(
         evaluation_episodes=evaluation_episodes,
         nominal_baseline=nominal_baseline,
         device=device,
+        past_commands=past_commands,
         quiet=quiet,
     )
     typer.echo(result.summary())

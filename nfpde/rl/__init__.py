@@ -12,6 +12,8 @@ from nfpde.rl.evaluate import Evaluation as Evaluation
 from nfpde.rl.evaluate import evaluate_policy as evaluate_policy
 from nfpde.rl.history import TrainResult as TrainResult
 from nfpde.rl.learner import SacConfig as SacConfig
+from nfpde.rl.past import Controller as Controller
+from nfpde.rl.past import PastCommands as PastCommands
 from nfpde.rl.policy import Policy as Policy
 from nfpde.rl.policy import load_policy as load_policy
 from nfpde.rl.randomize import RandomizedParameters as RandomizedParameters

@@ -117,6 +117,8 @@ class TrainResult:
             chosen = f" ({used} of its {robots} robots)" if used < robots else ""
             lines.append(f"return in the target:   {before.target} before, {after.target} after{chosen}")
         lines.append(f"return where it trains: {before.training} before, {after.training} after")
+        if self.policy.past_commands:
+            lines.append(f"the policy sees its own last {self.policy.past_commands} commands behind the observation")
         if self.baseline is not None:
             last = self.baseline.after
             lines.append(f"trained on the nominal model: {last.target or last.training} after")

@@ -15,6 +15,7 @@ from safetensors.numpy import load_file, save
 
 from nfpde.errors import BadInput
 from nfpde.rl.actor import check_finite
+from nfpde.rl.numbers import whole_number
 from nfpde.storage import write_whole
 
 Float32 = NDArray[np.float32]
@@ -36,6 +37,8 @@ class Policy:
         low: smallest action, (nu,).
         high: largest action, (nu,).
         environment: what it was trained in, a Gymnasium id or a label.
+        past_commands: how many of its own last actions end the observation, oldest first (see `PastCommands`);
+            `Controller` keeps them.
 
     Raises:
         BadInput: weights that are missing or do not fit together, or are not finite.
@@ -45,8 +48,10 @@ class Policy:
     low: Float32
     high: Float32
     environment: str = ""
+    past_commands: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "past_commands", whole_number("past_commands", self.past_commands, 0))
         for name in ("low", "high"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float32))
         if self.low.ndim != 1 or self.low.shape != self.high.shape or not (self.low < self.high).all():
@@ -121,6 +126,7 @@ class Policy:
             "activation": "relu",
             "environment": self.environment,
             "observation": self.nobservation,
+            "past_commands": self.past_commands,
             "hidden": [len(self.weights[f"hidden.{i}.bias"]) for i in range(self.nhidden)],
             "action_low": self.low.tolist(),
             "action_high": self.high.tolist(),
@@ -153,7 +159,8 @@ def load_policy(folder: Path | str) -> Policy:
             f"{SCHEMA_VERSION}, kind squashed_gaussian, activation relu)"
         )
     try:
-        policy = Policy(weights, config["action_low"], config["action_high"], config["environment"])
+        past = config.get("past_commands", 0)  # which policies of earlier versions do not know
+        policy = Policy(weights, config["action_low"], config["action_high"], config["environment"], past)
         sizes = [len(policy.weights[f"hidden.{i}.bias"]) for i in range(policy.nhidden)]
         same = (config["observation"], config["hidden"]) == (policy.nobservation, sizes)
     except KeyError as error:

@@ -126,6 +126,11 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
         """The environment's model before any parameter was written, as `nfpde.sim.load_model` prepares it."""
         return self._physics.nominal_model
 
+    @property
+    def pending_commands(self) -> int:
+        """Commands that may be under way, or still act, when the next one is given: under delays and lags."""
+        return int(np.ceil(self._physics.memory_time / self._physics.env.dt - 1e-9))
+
     def release(self) -> None:
         """Leave the wrapped environment as it was before: its own physics and solver, nominal parameters."""
         self._physics.release()

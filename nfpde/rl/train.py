@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -41,6 +42,7 @@ def train_sac(
     model: Path | str | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     threads: int = 1,
+    past_commands: int | None = None,
     quiet: bool = False,
 ) -> TrainResult:
     """Train soft actor-critic on a robot whose parameters are drawn anew for every episode.
@@ -77,9 +79,14 @@ def train_sac(
         evaluation_every: control steps of a round, at least those of an episode; a multiple of `train_every`.
         evaluation_episodes: episodes of each evaluation, at least 2; as many as there are robots for all of them.
         hyperparameters: of SAC; None for those of `PRESETS` where the environment is among them, else the defaults.
-        nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both.
+        nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both. It sees
+            past commands only where `past_commands` asks for them.
         model: MJCF file in place of the environment's own.
         device: for the networks: `cpu`, `cuda`, or `auto` for CUDA where there is one.
+        past_commands: how many of its own last actions the policy sees behind the environment's observation, oldest
+            first (`PastCommands`; `Controller` keeps them on the robot). None for as many as may be under way under
+            the delays and lags of the distribution's effects, without which a policy cannot know what its robot is
+            about to do; none where there are no such effects.
         threads: torch's, while training. These networks are so small that more threads rarely pay, and on a busy
             machine they cost dearly.
         quiet: show no progress.
@@ -107,6 +114,8 @@ def train_sac(
     evaluation_every = whole_number("evaluation_every", evaluation_every, 1)
     evaluation_episodes = whole_number("evaluation_episodes", evaluation_episodes, 2)
     threads = whole_number("threads", threads, 1)
+    if past_commands is not None:
+        past_commands = whole_number("past_commands", past_commands, 0)
     _check_device(device)
     config = hyperparameters
     if config is None:
@@ -126,12 +135,14 @@ def train_sac(
         config=config,
         device=device,
         threads=threads,
+        past_commands=past_commands,
         quiet=quiet,
     )
     out = Path(out)
     result = Training(job, source, space, out, "Training").run()
     if nominal_baseline:
-        nominal = Training(job, None, space, out / "nominal", "Training on the nominal model").run()
+        usual = replace(job, past_commands=past_commands or 0)  # nothing in the nominal model holds commands back
+        nominal = Training(usual, None, space, out / "nominal", "Training on the nominal model").run()
         result = result.with_baseline(nominal)
         write_json(result)
     plot_returns(result, out / "returns.png")

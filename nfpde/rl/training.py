@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from nfpde.rl.actor import BadAction, NotFinite
 from nfpde.rl.behaviour import difference, observe
 from nfpde.rl.history import Point, TrainResult, write_json
 from nfpde.rl.learner import SacConfig, SacLearner, isolated_randomness, round_seed
+from nfpde.rl.past import PastCommands
+from nfpde.rl.policy import Policy
 from nfpde.rl.randomize import Draws, RandomizedParameters
 from nfpde.rl.replay import ReplayFiles
 from nfpde.rl.scoring import Scoring
@@ -51,6 +53,7 @@ class Job:
     config: SacConfig
     device: str
     threads: int
+    past_commands: int | None
     quiet: bool
 
 
@@ -106,8 +109,15 @@ class Training:
         self.target: RandomizedParameters | None = None
         self.training = RandomizedParameters(make_environment(job.env, job.model), self.source, self.space)
         try:
+            self.past = self.training.pending_commands if job.past_commands is None else job.past_commands
+            if self.past:
+                self.training.release()
+                seen = PastCommands(self.training.env, self.past)
+                self.training = RandomizedParameters(seen, self.source, self.space)
             if job.target is not None:
-                self.target = RandomizedParameters(make_environment(job.env, job.model), job.target, job.target_space)
+                bare = make_environment(job.env, job.model)
+                seen = PastCommands(bare, self.past) if self.past else bare
+                self.target = RandomizedParameters(seen, job.target, job.target_space)
             yield
         finally:
             self.training.close()
@@ -130,7 +140,7 @@ class Training:
         self.out.mkdir(parents=True, exist_ok=True)  # one that cannot be made is told before a round is run
         self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
         if saved is None:
-            self.policy = self.learner.policy(self.label)
+            self.policy = self._policy()
             self.points = [self._judge([], 0)]
             return
         tensors, info = saved
@@ -143,7 +153,7 @@ class Training:
         self.seconds = info["seconds"]
         self.saved = self.points[-1].step
         self.learner.restore(info["learner"], tensors, self.replay)
-        self.policy = self.learner.policy(self.label)
+        self.policy = self._policy()
 
     def _load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """The state to go on from, if it is one of this training."""
@@ -184,7 +194,7 @@ class Training:
                 f"the simulation diverged in {diverged} of the {len(returns)} episodes up to control step "
                 f"{learner.steps}: use a smaller timestep in the model, or tighter bounds; {self._left()}"
             )
-        self.policy = learner.policy(self.label)
+        self.policy = self._policy()
         self.points.append(self._judge(returns, diverged))
         self.seconds = time.monotonic() - started
         self.replay.add(learner.buffer, first, learner.steps)
@@ -202,6 +212,9 @@ class Training:
         self.replay.clean(learner.buffer.buffer_size, learner.steps)
         self.policy.save(self.out)
         write_json(self._result())
+
+    def _policy(self) -> Policy:
+        return replace(self.learner.policy(self.label), past_commands=self.past)
 
     def _kept(self) -> str:
         """What a training that stops leaves behind."""
