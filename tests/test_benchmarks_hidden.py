@@ -45,6 +45,20 @@ def test_robots_take_episodes_in_turn():
     assert collect(HOPPER, "mixture", episodes=2, steps=5, effects=[hidden])[1].population is None
 
 
+def test_noise_is_on_what_is_recorded_only():
+    """Of the size that was asked for, on every channel; the truth is that of the noisy recordings."""
+    clean, noisy = (collect(robot("pendulum"), "gaussian", episodes=10, steps=100, noise=n) for n in (0.0, 0.02))
+    for name in ("qpos", "qvel"):
+        before, after = (np.concatenate([getattr(e, name) for e in data]) for data, _ in (clean, noisy))
+        # 1000 rows tell a standard deviation to 2.2 %; four of those
+        np.testing.assert_allclose((after - before).std(0), 0.02 * before.std(0), rtol=0.09)
+    np.testing.assert_array_equal(clean[0][0].ctrl, noisy[0][0].ctrl)
+    np.testing.assert_array_equal(clean[1].xi, noisy[1].xi)
+    assert noisy[1].dataset == noisy[0].content_hash() != clean[1].dataset
+    with pytest.raises(BadInput, match="noise must be a share of at least 0, got -1"):
+        collect(robot("pendulum"), "gaussian", noise=-1.0)
+
+
 def test_what_cannot_be_hidden():
     """An effect that does nothing, one that cannot act on the robot, and more robots than episodes."""
     with pytest.raises(BadEffect, match="motor_strength: with scale=1 it does nothing"):

@@ -6,7 +6,7 @@ import torch
 
 import nfpde
 from nfpde import benchmarks
-from nfpde.bench.estimation.sensing import with_noise
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.estimation import tell
 from nfpde.estimation.trajectory.advice import _Worth
 from nfpde.estimation.trajectory.identify import UNIFORM_STD, Knowledge, describe_knowledge

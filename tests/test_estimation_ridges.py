@@ -6,7 +6,7 @@ import torch
 
 import nfpde
 from nfpde import benchmarks
-from nfpde.bench.estimation.sensing import with_noise
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.estimation.trajectory.ridges import _Line, along_ridges
 from tests.linear_robots import DT, SPACE, both_stages, linear_simulator, moments
 

@@ -6,8 +6,8 @@ from scipy.optimize import least_squares
 from scipy.special import log_expit
 
 import nfpde
-from nfpde.bench.estimation.sensing import with_noise
 from nfpde.benchmarks import collect, robot
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.estimation.trajectory import TrajectoryEstimator
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.levenberg import UNSEEN

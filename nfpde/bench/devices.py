@@ -18,12 +18,12 @@ from typing import Any
 from nfpde.bench import losses_warp
 from nfpde.bench.code import built_solver, code_of
 from nfpde.bench.device_rows import RULES, diagnosis_row, softmax_row, trajectory_row
-from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.gap.draw import draw_system
 from nfpde.bench.gap.store import write_public
 from nfpde.bench.partial import Partial
 from nfpde.bench.rounded import RoundedSimulator
 from nfpde.benchmarks import collect, robot
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.dataset import Dataset, load_dataset
 from nfpde.errors import BadInput
 from nfpde.estimation import Method, NfpdeConfig, TrajectoryConfig, fit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from importlib.metadata import version
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from nfpde.benchmarks.hidden import Hidden
 from nfpde.benchmarks.robots import Robot
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.benchmarks.targets import Target, draw_robots, population
 from nfpde.dataset import Dataset, Episode, Metadata
 from nfpde.errors import BadInput, SimulationDiverged
@@ -31,6 +33,7 @@ def collect(
     seed: int = 0,
     robots: int | None = None,
     effects: Sequence[Hidden] = (),
+    noise: float = 0.0,
 ) -> tuple[Dataset, Truth]:
     """Record random episodes of robots whose parameters come from a population.
 
@@ -45,13 +48,14 @@ def collect(
         seed: of robots, first states and commands.
         robots: number of robots, which take the episodes in turn; None for one robot an episode.
         effects: what all robots have and their model lacks; see `hide`.
+        noise: standard deviation of white noise on every measured state, in those of each channel over the recordings.
 
     Returns:
         The recordings, and apart from them the robots' parameters, those of effects last. The population is told where
         there are no effects.
 
     Raises:
-        BadInput: an unknown target, a count below one, more robots than episodes, or a seed below zero.
+        BadInput: an unknown target, a count below one, more robots than episodes, a seed or noise below zero.
         BadEffect: an effect that cannot act in the robot's environment.
         SimulationDiverged: an episode blew up.
     """
@@ -62,6 +66,8 @@ def collect(
         raise BadInput(f"{count} robots need as many episodes at least, got {episodes}")
     if seed < 0:
         raise BadInput(f"seed must be at least 0, got {seed}")
+    if not 0 <= noise < math.inf:
+        raise BadInput(f"noise must be a share of at least 0, got {noise:g}")
     rng = np.random.default_rng(seed)
     people = population(robot.space, target)
     drawn = draw_robots(robot.space, people, count, rng)
@@ -70,7 +76,8 @@ def collect(
     turn = np.arange(episodes) % count
     xi = np.hstack([drawn, np.tile(values, (count, 1))])[turn]
     labels = None if robots is None else [f"{i}" for i in turn]
-    dataset = record(robot, xi, steps=steps, rng=rng, labels=labels, space=space)
+    clean = record(robot, xi, steps=steps, rng=rng, labels=labels, space=space)
+    dataset, _ = with_noise(robot.model, clean, noise, seed)
     return dataset, Truth(space, xi, dataset.names, None if effects else people, dataset.content_hash())
 
 

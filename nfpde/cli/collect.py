@@ -27,6 +27,9 @@ def command(
             "'coulomb_friction hinge torque=0.2'; may be given again"
         ),
     ] = None,
+    noise: Annotated[
+        float, typer.Option(help="standard deviation of the sensors' noise, in those of each channel")
+    ] = 0.0,
     steps: Annotated[int, typer.Option(help="longest episode, in control steps")] = 150,
     seed: Annotated[int, typer.Option(help="of robots, first states and commands")] = 0,
 ) -> None:
@@ -37,7 +40,9 @@ def command(
     """
     chosen = robot(name)
     hidden = [read_hidden(chosen.model, text) for text in effect or ()]
-    dataset, truth = collect(chosen, target, episodes=episodes, steps=steps, seed=seed, robots=robots, effects=hidden)
+    dataset, truth = collect(
+        chosen, target, episodes=episodes, steps=steps, seed=seed, robots=robots, effects=hidden, noise=noise
+    )
     out.mkdir(parents=True, exist_ok=True)
     save_dataset(dataset, out / "data.npz")
     truth.save(out / "truth.json")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.bench.estimation.bound import information, parameter_slopes, standard_errors, state_slopes
-from nfpde.bench.estimation.sensing import channel_spread
+from nfpde.benchmarks.sensing import channel_spread
 from nfpde.dataset import Dataset
 from nfpde.sim import MujocoSimulator
 from nfpde.truth import Truth

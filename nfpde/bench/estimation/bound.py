@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.bench.estimation.sensing import apart, channel_spread
+from nfpde.benchmarks.sensing import apart, channel_spread
 from nfpde.dataset import Dataset, Windows
 from nfpde.losses import increment_scale
 from nfpde.sim import MujocoSimulator

@@ -14,9 +14,9 @@ import numpy as np
 from nfpde.bench.estimation.calibration_table import table
 from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.bench.estimation.ranks import draw_ranks, rank_of
-from nfpde.bench.estimation.sensing import apart, with_noise
 from nfpde.bench.estimation.stages import Budget, OutOfTime, Stages
 from nfpde.benchmarks import record, robot
+from nfpde.benchmarks.sensing import apart, with_noise
 from nfpde.errors import BadInput
 from nfpde.estimation import TrajectoryConfig, fit
 from nfpde.sim import Device, found_device, make_simulator

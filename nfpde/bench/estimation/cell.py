@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from nfpde.bench.estimation.bending import bending
 from nfpde.bench.estimation.bound import information_bound, unmoved
 from nfpde.bench.estimation.draws import redrawn, yardsticks
-from nfpde.bench.estimation.sensing import with_noise
 from nfpde.bench.estimation.stages import code_of, results
 from nfpde.bench.estimation.temperature import FACTORS, chosen, oracle, score
 from nfpde.benchmarks import Robot, Target, collect, robot
+from nfpde.benchmarks.sensing import with_noise
 from nfpde.dataset import Dataset
 from nfpde.distribution import ParameterDistribution
 from nfpde.estimation import FitResult, NfpdeConfig, TrajectoryConfig, fit
