@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from nfpde.effects import Effect, Quantity, effect_class
+from nfpde.elements import element_names
 from nfpde.errors import BadEffect
 
 SHARE = 0.5
@@ -52,9 +53,17 @@ def effect_near(
                 f"{name}: {q.name} must be a number within [{q.low:g}, {q.high:g}] {q.unit}, got {values[q.name]:g}"
             )
     whole = not target or target == kind.whole
-    where = (None if kind.kind is None else "*") if whole else target
+    where = _all(model, kind.kind) if whole else target
     first = kind(where, **bounds_near(kind.quantities, values, spans)).bind(model)
     return kind(where, **bounds_near(first.quantities, values, spans))  # neutral may be what the model has
+
+
+def _all(model: mujoco.MjModel, kind: str | None) -> str | None:
+    """What an effect on all elements of a kind acts on: by its name where there is only one, as a diagnosis does."""
+    if kind is None:
+        return None
+    names = element_names(model, kind)
+    return names[0] if len(names) == 1 else "*"
 
 
 def bounds_near(

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from nfpde.benchmarks import robot
 from nfpde.effects import DataScales, Quantity, all_candidates
 from nfpde.errors import BadEffect
 from nfpde.nearby import bounds_near, effect_near
@@ -59,6 +60,12 @@ def test_every_effect_that_a_diagnosis_tries(asset):
         assert (again.name, again.target) == (e.name, e.target)
         for p, v in zip(again.parameters, values.values(), strict=True):
             assert p.low <= v <= p.high, p
+
+
+def test_all_of_one_is_that_one():
+    """A pendulum's only motor has its name, as in what a diagnosis finds there; of several they are all meant."""
+    assert effect_near(robot("pendulum").model, "actuation_delay", None, {"delay": 0.1}).target == "motor"
+    assert effect_near(robot("hopper").model, "actuation_delay", "all", {"delay": 0.1}).target == "*"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,14 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def commands(page: Path) -> list[str]:
+    """Command lines of a page: indented, or in a block of a shell."""
+    return re.findall(r"^(?:    |\.venv/bin/)(nfpde (?!bench).*?)(?: +#.*)?$", page.read_text(), flags=re.MULTILINE)
+
+
 def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
@@ -48,9 +56,9 @@ def test_toml_of_the_readme_is_a_parameter_space(tmp_path):
     assert space.names == ["body_mass:thigh", "geom_friction:*"]
 
 
-@pytest.mark.parametrize("line", re.findall(r"^    (nfpde .*)$", README, flags=re.MULTILINE))
-def test_commands_of_the_readme_exist_with_their_options(line):
-    """Every option of a command line shown is one that the command has."""
+@pytest.mark.parametrize("line", sorted({c for page in PAGES for c in commands(page)}))
+def test_commands_exist_with_their_options(line):
+    """Every option of a command line shown, in the README or beside it, is one that the command has."""
     _, name, *words = line.split()
     command = get_command(app).commands[name]  # type: ignore[attr-defined]
     known = {option for p in command.params for option in p.opts}
@@ -62,5 +70,6 @@ def test_make_targets_and_linked_files_exist():
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
     named = set(re.findall(r"(?:`|^    )make ([a-z-]+)", README, flags=re.MULTILINE))
     assert {"demo", "test", "bench-gap"} <= named <= set(targets)
-    for link in re.findall(r"\]\(([^)]+)\)", README):
-        assert (ROOT / link).is_file(), link
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / link).is_file(), (page, link)
