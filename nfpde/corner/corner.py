@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -13,6 +14,7 @@ from nfpde.corner.content import make_content
 from nfpde.corner.layout import grid, triangle
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
+from nfpde.storage import write_whole
 
 STYLE: Any = {
     "font.size": 9.0,
@@ -91,5 +93,7 @@ def corner(
     path.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(STYLE):
         figure = triangle(content) if len(content.space) <= max_dimensions else grid(content)
-        figure.savefig(path, dpi=150, format="png")
+        picture = BytesIO()
+        figure.savefig(picture, dpi=150, format="png")
+    write_whole(path, picture.getvalue())
     return path
