@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from nfpde.corner import corner
 from nfpde.estimation.result import FitResult
+from nfpde.storage import write_whole
 
 _PANELS = {
     "loss": "squared error of what explains the data",
