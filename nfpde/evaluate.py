@@ -56,7 +56,8 @@ class Evaluation:
         samples: Number of samples that every figure comes from.
         seed: Of the samples.
         xi: The samples of the estimate (samples, D), in physical units.
-        truth: What it was measured against.
+        truth: What it was measured against, over the estimate's space.
+        recorded: The same as it came with the recordings.
     """
 
     to_episodes: Mapping[str, Distance]
@@ -70,6 +71,7 @@ class Evaluation:
     seed: int
     xi: Floats = field(repr=False)
     truth: Truth = field(repr=False)
+    recorded: Truth = field(repr=False)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values, without samples and truth; a gain of -inf becomes null."""
@@ -92,9 +94,7 @@ class Evaluation:
     def draw(self, path: Path | str, *, zoom: bool = False) -> Path:
         """Write a corner plot of the estimate with the true parameters, and the population where it is known."""
         truth = self.truth
-        drawn = None
-        if truth.population is not None:
-            drawn = truth.population.sample(max(self.samples, 2000), truth.space, np.random.default_rng(self.seed))
+        drawn = self.recorded.draw_population(max(self.samples, 2000), np.random.default_rng(self.seed), truth.space)
         return corner(self.xi, path, space=truth.space, truth=truth.xi, population=drawn, zoom=zoom)
 
     def __rich__(self) -> Group:
@@ -160,7 +160,7 @@ def evaluate(
         raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
     seed = int(seed)
     space = distribution.space
-    truth = truth.over(space)
+    recorded, truth = truth, truth.over(space)
     rng = np.random.default_rng(seed)
     rows = {"estimate": distribution.sample(samples, seed)}
     if initial is not None:
@@ -168,9 +168,9 @@ def evaluate(
         rows["initial"] = initial.sample(samples, seed)
     rows["uniform"] = space.uniform(samples, rng)
     to_population = {}
-    if truth.population is not None:
-        rows["population"] = truth.population.sample(samples, space, rng)
-        fresh = truth.population.sample(samples, space, rng)
+    drawn, fresh = (recorded.draw_population(samples, rng, space) for _ in range(2))
+    if drawn is not None and fresh is not None:
+        rows["population"] = drawn
         to_population = {name: _distance(xi, fresh, space.width) for name, xi in rows.items()}
     half, most = (_coverage(rows["estimate"], truth.xi, share) for share in (0.5, 0.9))
     # the uniform log density is -sum log width
@@ -187,6 +187,7 @@ def evaluate(
         seed=seed,
         xi=rows["estimate"],
         truth=truth,
+        recorded=recorded,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from nfpde.effects import Effect
 from nfpde.errors import BadInput
 from nfpde.gap import Cause, Fitted, GapReport
+from nfpde.gap.inertia import NAME as INERTIA
 from nfpde.gap.inertia import inertia_of
 from nfpde.nearby import effect_near
 from nfpde.parameters import Parameter, ParameterSpace
@@ -33,13 +34,20 @@ def explained_space(report: GapReport, space: ParameterSpace | None = None) -> P
 
     Raises:
         BadInput: A gap remains that no known effect explains: what was found before giving up may stand in for
-            something else. Or there is neither an effect nor a free parameter.
+            something else. Or there is neither an effect nor a free parameter, or the space is not the diagnosis's.
         BadEffect: One of the effects is not registered here.
     """
     if report.verdict == "unexplained":
         raise BadInput(
             "the diagnosis leaves a gap that no known effect explains; what it found before may stand in for something "
             "else, and no fit should take it for granted. Register an effect of your own, or fit without"
+        )
+    lacking = [
+        name for name in report.base if not name.startswith(INERTIA) and name not in (space.names if space else ())
+    ]
+    if lacking:
+        raise BadInput(
+            f"the diagnosis had free parameters that the space lacks: {', '.join(lacking)}; give the space it was given"
         )
     own = [] if space is None else _masses_told(report, space)
     found = [p for cause in report.effects for p in _effect_of(report, cause).parameters]

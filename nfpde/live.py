@@ -21,6 +21,10 @@ from nfpde.sim.quiet import quiet_mujoco
 Array = NDArray[np.float64]
 
 
+_OF_A_LAG = 4
+"""Commands that tell enough of what a lag has in store."""
+
+
 class PhysicsDiverged(Exception):
     """Ends the environment's step or reset from inside; whoever steps it catches it."""
 
@@ -36,15 +40,17 @@ class LivePhysics:
     Args:
         env: the bare environment, `env.unwrapped`.
         space: the parameters, those of effects last.
+        observes: whether what sensors report is to be seen in the environment's observations.
 
     Raises:
         BadInput: no MuJoCo environment, or one that is wrapped already.
         BadParameter, BadEffect: the model lacks an element of the space, or an effect cannot act in this environment.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], space: ParameterSpace) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any], space: ParameterSpace, *, observes: bool = True) -> None:
         self.env: Any = env
         self.space = space
+        self._observes = observes
         self.label = _label(env)
         _check_environment(self.env, self.label)
         try:
@@ -75,9 +81,23 @@ class LivePhysics:
         return self._simulator.model
 
     @property
-    def memory_time(self) -> float:
-        """How long [s] a command goes on to matter under the effects, at most."""
-        return self._simulator.memory_time
+    def control_dt(self) -> float:
+        """Control step [s] of the environment, in the nominal model's time."""
+        return float(self.nominal_model.opt.timestep) * int(self.env.frame_skip)
+
+    @property
+    def pending_commands(self) -> int:
+        """Commands that may be under way, or still act, when the next one is given.
+
+        Of delays as many as they hold back at most; of other effects that remember commands, as lags, four at most:
+        older ones count for little, and what they did shows in the motion.
+        """
+        behind = np.zeros(max(1, self.nominal_model.nu), dtype=np.int64)
+        for e in self._bound.effects:
+            held = int(np.ceil(e.memory_time() / self.control_dt - 1e-9))
+            is_delay = any(q.name == "delay" for q in e.quantities)
+            behind[e.ctrls if e.kind == "actuator" else slice(None)] += held if is_delay else min(held, _OF_A_LAG)
+        return int(behind.max())
 
     def write(self, xi: Array | None) -> None:
         """Give the model the parameters xi (D,), or its nominal ones (None); to be called before the inner reset."""
@@ -124,7 +144,7 @@ class LivePhysics:
     def _install(self) -> None:
         if self._bound.on_command or self._bound.on_step:
             self._check_stepping()
-        if self._on_sensor:
+        if self._on_sensor and self._observes:
             self._check_observation()
             self._own_observation = self.env._get_obs
             self.env._get_obs = self._observe

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import mujoco
+import numpy as np
 
 from nfpde.effects import Effect, Quantity, effect_class
 from nfpde.elements import element_names
 from nfpde.errors import BadEffect
+from nfpde.parameters import Target
 
 SHARE = 0.5
 """Of a value's distance from where its effect vanishes: how far robots alike may differ, to either side."""
@@ -20,6 +21,9 @@ SPANS = 2.0
 SMALLEST = 0.1
 """Reach, in its unit, of a value of which nothing says how large it may be."""
 
+LARGEST = 1e300
+"""Values have to stay below, so that there are bounds around them."""
+
 _BEYOND = 1e9
 """A neutral value that is no size of a robot, as that of a limit which nothing reaches."""
 
@@ -27,7 +31,7 @@ _BEYOND = 1e9
 def effect_near(
     model: mujoco.MjModel,
     name: str,
-    target: str | None,
+    target: Target,
     values: Mapping[str, float],
     spans: Mapping[str, float] | None = None,
 ) -> Effect:
@@ -36,7 +40,7 @@ def effect_near(
     Args:
         model: The nominal model.
         name: Of the effect.
-        target: What it acts on, as a diagnosis calls it: an element, or what stands for the whole.
+        target: What it acts on, as a diagnosis calls it: an element, several, or what stands for the whole.
         values: Of all its parameters, by name.
         spans: Half widths of their 95 % intervals, by name.
 
@@ -48,22 +52,26 @@ def effect_near(
     if set(values) != set(known):
         raise BadEffect(f"{name}: give a value for each of {', '.join(known)}; got {', '.join(values) or 'none'}")
     for q in kind.quantities:
-        if not (math.isfinite(values[q.name]) and q.low <= values[q.name] <= q.high):
-            raise BadEffect(
-                f"{name}: {q.name} must be a number within [{q.low:g}, {q.high:g}] {q.unit}, got {values[q.name]:g}"
-            )
-    whole = not target or target == kind.whole
-    where = _all(model, kind.kind) if whole else target
+        value = values[q.name]
+        number = isinstance(value, int | float | np.floating | np.integer) and abs(value) < LARGEST
+        if not number or not q.low <= value <= q.high:
+            raise BadEffect(f"{name}: {q.name} must be a number within [{q.low:g}, {q.high:g}] {q.unit}, got {value!r}")
+    where = _target(model, kind, target)
     first = kind(where, **bounds_near(kind.quantities, values, spans)).bind(model)
     return kind(where, **bounds_near(first.quantities, values, spans))  # neutral may be what the model has
 
 
-def _all(model: mujoco.MjModel, kind: str | None) -> str | None:
-    """What an effect on all elements of a kind acts on: by its name where there is only one, as a diagnosis does."""
-    if kind is None:
-        return None
-    names = element_names(model, kind)
-    return names[0] if len(names) == 1 else "*"
+def _target(model: mujoco.MjModel, kind: type[Effect], target: Target) -> Target:
+    """What an effect acts on, of what reports call it; all of one is that one, as a diagnosis has it."""
+    if kind.kind is None:
+        return None if target in (None, "", kind.whole) else target
+    names = element_names(model, kind.kind)
+    if target is not None and (not isinstance(target, str) or target in names):
+        return target
+    if target in (None, "", "*", "all", kind.whole):
+        return names[0] if len(names) == 1 else "*"
+    parts = tuple(str(target).split(", "))
+    return parts if set(parts) <= set(names) else target
 
 
 def bounds_near(

@@ -15,6 +15,8 @@ from nfpde.errors import BadInput, NfpdeError, SpaceMismatch
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.storage import read_json, write_whole
 
+_Array = NDArray[np.float64]
+
 SCHEMA_VERSION = 1
 
 
@@ -121,9 +123,10 @@ class Truth:
             raise BadInput(f"dataset must be a text, the content hash of the recordings; got {self.dataset!r}")
 
     def over(self, space: ParameterSpace) -> Truth:
-        """The same of a space with the same parameters, in its order and with its bounds.
+        """The same of a space with the same parameters, in its order and with its bounds, without the population.
 
-        A fit may have searched in other bounds than those in which the robots were drawn.
+        A fit may have searched in other bounds than those in which the robots were drawn; the population is cut to the
+        bounds that it was drawn in, and stays with them (`draw_population`).
 
         Raises:
             SpaceMismatch: The spaces are about different parameters; names those that one of them lacks.
@@ -131,21 +134,39 @@ class Truth:
         """
         if space == self.space:
             return self
-        own, other = ([_unbounded(p) for p in s] for s in (self.space, space))
-        if set(own) != set(other):
+        return Truth(space, self.xi[:, self.columns_in(space)], self.episodes, None, self.dataset)
+
+    def draw_population(self, n: int, rng: np.random.Generator, space: ParameterSpace | None = None) -> _Array | None:
+        """Draws of the population (n, D), in the order of a space with the same parameters; None where it is not known.
+
+        Raises:
+            SpaceMismatch: The space is about different parameters.
+        """
+        if self.population is None:
+            return None
+        drawn = self.population.sample(n, self.space, rng)
+        return drawn if space is None else drawn[:, self.columns_in(space)]
+
+    def columns_in(self, space: ParameterSpace) -> list[int]:
+        """Where each parameter of a space with the same parameters stands here, whatever their bounds.
+
+        Whether the inertia goes along with a mass makes it no other parameter.
+
+        Raises:
+            SpaceMismatch: The spaces are about different parameters; names those that one of them lacks.
+        """
+        own, other = ([_about(p) for p in s] for s in (self.space, space))
+        if len(set(own)) < len(own):  # own simulators may tell parameters apart by name alone
+            own, other = (list(zip(keys, s.names, strict=True)) for keys, s in ((own, self.space), (other, space)))
+        if len(own) != len(other) or set(own) != set(other):
             lacks = [p.name for p, key in zip(self.space, own, strict=True) if key not in other]
             more = [p.name for p, key in zip(space, other, strict=True) if key not in own]
             raise SpaceMismatch(
                 "the true parameters and the other ones are not the same, apart from their bounds; only the truth has "
-                f"{', '.join(lacks) or 'none'}, only the others {', '.join(more) or 'none'} (component, relative and "
-                "scale_inertia count, too)"
+                f"{', '.join(lacks) or 'none'}, only the others {', '.join(more) or 'none'} (field, target, component "
+                "and relative count)"
             )
-        order = [own.index(key) for key in other]
-        people = self.population
-        if people is not None:
-            covariances = people.covariances[:, order][:, :, order]
-            people = Population(people.weights, people.means[:, order], covariances)
-        return Truth(space, self.xi[:, order], self.episodes, people, self.dataset)
+        return [own.index(key) for key in other]
 
     def save(self, path: Path | str) -> None:
         """Write everything as one JSON file."""
@@ -183,9 +204,10 @@ class Truth:
             raise BadInput(f"{path}: {error}") from None
 
 
-def _unbounded(p: Parameter) -> tuple[object, ...]:
-    """What a parameter is about, whatever its bounds and its name."""
-    return p.field, p.target, p.component, p.relative, p.scale_inertia
+def _about(p: Parameter) -> tuple[object, ...]:
+    """What a parameter is, whatever its bounds and its name."""
+    target = p.target[0] if isinstance(p.target, tuple) and len(p.target) == 1 else p.target
+    return p.field, target, p.component, p.relative
 
 
 def _population(entry: object) -> Population | None:

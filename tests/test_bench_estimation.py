@@ -6,8 +6,8 @@ import pytest
 import torch
 from scipy.stats import binom, norm
 
-from nfpde.bench.estimation import bending, bound, ranks, sensing, stages, temperature
-from nfpde.benchmarks import collect, record, robot
+from nfpde.bench.estimation import bending, bound, ranks, stages, temperature
+from nfpde.benchmarks import collect, record, robot, sensing
 from nfpde.errors import BadInput
 from nfpde.estimation import fit
 from nfpde.sim import MujocoSimulator, StateSpace

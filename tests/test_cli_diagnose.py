@@ -49,7 +49,7 @@ def test_it_says_so_in_plain_words(diagnosed):
 def test_it_writes_what_to_fit_next(diagnosed):
     """The spring's parameters, as `nfpde fit --params` reads them."""
     folder, result = diagnosed
-    assert f"--params {folder / 'out' / 'explained.toml'}" in result.output
+    assert f"{folder / 'data.npz'} --params {folder / 'out' / 'explained.toml'} --out" in result.output
     space = ParameterSpace.from_toml(folder / "out" / "explained.toml")
     assert space.names == ["joint_spring.stiffness:elbow", "joint_spring.rest:elbow"]
     assert (space[0].low, space[0].high) == pytest.approx((1.5, 4.5), rel=0.03)  # sensor noise of a thousandth
@@ -62,13 +62,25 @@ def test_nothing_of_an_earlier_diagnosis_is_left(diagnosed, monkeypatch, tmp_pat
     folder, _ = diagnosed
     (tmp_path / "explained.toml").write_text("of another day")
     found = gap_report(arm(), verdict)
-    found = replace(found, effects=found.effects[:1])  # friction at the elbow
+    found = replace(found, effects=found.effects[:1], base={})  # friction at the elbow
     monkeypatch.setattr(diagnose, "diagnose_gap", lambda *_, **__: found)
     status, out, err = run("diagnose", folder / "arm.xml", folder / "data.npz", "--out", tmp_path)
     assert (status, err) == (0, "")
     assert (tmp_path / "explained.toml").exists() == ("what to fit next" in out) == written
     if written:
         assert "coulomb_friction" in (tmp_path / "explained.toml").read_text()
+
+
+def test_the_next_command_can_be_copied(diagnosed, monkeypatch, tmp_path):
+    """Paths with spaces are quoted, and what the diagnosis did to uneven clocks the fit has to do, too."""
+    folder, _ = diagnosed
+    found = gap_report(arm(), "effects")
+    found = replace(found, effects=found.effects[:1], base={})
+    monkeypatch.setattr(diagnose, "diagnose_gap", lambda *_, **__: found)
+    out = tmp_path / "to day"
+    status, said, _ = run("diagnose", folder / "arm.xml", folder / "data.npz", "--out", out, "--resample", 0.02)
+    assert status == 0
+    assert f"--params '{out / 'explained.toml'}' --resample 0.02 --out" in said
 
 
 def test_its_own_output_is_no_input(diagnosed):

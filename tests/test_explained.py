@@ -66,6 +66,13 @@ def test_masses_whose_inertia_does_not_follow(low, high, scales):
     assert [p.scale_inertia for p in space] == [True, scales, False, True]
 
 
+def test_the_space_is_that_of_the_diagnosis():
+    """Free parameters are not left out because they were forgotten."""
+    base = {p.name: Fitted(1.0, 0.9, 1.1, "kg") for p in MASSES}
+    with pytest.raises(BadInput, match="free parameters that the space lacks: body_mass:upper, body_mass:lower, again"):
+        explained_space(report(cause("coulomb_friction", "elbow", 0.9), base=base))
+
+
 def test_nothing_to_fit_is_an_error():
     """A gap that stays unexplained, no parameter at all, and an effect that nobody knows here."""
     friction = cause("coulomb_friction", "elbow", 0.9)

@@ -66,6 +66,8 @@ def test_all_of_one_is_that_one():
     """A pendulum's only motor has its name, as in what a diagnosis finds there; of several they are all meant."""
     assert effect_near(robot("pendulum").model, "actuation_delay", None, {"delay": 0.1}).target == "motor"
     assert effect_near(robot("hopper").model, "actuation_delay", "all", {"delay": 0.1}).target == "*"
+    both = effect_near(arm(), "viscous_damping", "shoulder, elbow", {"damping": 0.1})
+    assert both.target == ("shoulder", "elbow")  # as a diagnosis calls two of them
 
 
 @pytest.mark.parametrize(
@@ -77,6 +79,8 @@ def test_all_of_one_is_that_one():
         ("coulomb_friction", "elbow", {}, "give a value for each of torque; got none"),
         ("coulomb_friction", "elbow", {"torque": -1.0}, r"torque must be a number within \[0, inf\] Nm, got -1"),
         ("joint_offset", "elbow", {"offset": math.nan}, "offset must be a number"),
+        ("joint_offset", "elbow", {"offset": 1.7e308}, "offset must be a number"),
+        ("joint_offset", "elbow", {"offset": "1"}, "offset must be a number"),
         ("wind", "elbow", {f"velocity_{axis}": 1.0 for axis in "xyz"}, "takes no target"),
     ],
 )

@@ -1,6 +1,7 @@
 """Past commands among what a policy sees: where commands act late, nothing else tells what a robot is about to do."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -29,13 +30,13 @@ SMALL = SacConfig(hidden=(8,), batch_size=8, learning_starts=20, train_every=10)
 
 
 def test_observations_by_hand():
-    """Behind the environment's own, oldest first, zero before the first; a reset forgets them."""
+    """Behind the environment's own, oldest first; the first counts as those before it; a reset forgets them."""
     env: Any = PastCommands(make_environment("pendulum"), 2)
     assert env.observation_space.shape == (5,)
     np.testing.assert_array_equal(env.observation_space.low[3:], [-1.5, -1.5])
     for _ in range(2):
         seen = [env.reset(seed=0)[0], *(env.step(np.array([u]))[0] for u in (0.1, 0.2, 0.3))]
-        assert [list(x[3:]) for x in seen] == [[0, 0], [0, 0.1], [0.1, 0.2], [0.2, 0.3]]
+        assert [list(x[3:]) for x in seen] == [[0, 0], [0.1, 0.1], [0.1, 0.2], [0.2, 0.3]]
         np.testing.assert_array_equal(seen[3][:3], env.unwrapped._get_obs())
         assert env.observation_space.contains(seen[3])
 
@@ -62,12 +63,48 @@ def test_they_tell_what_comes_next(delay):
     )
 
 
+def test_they_tell_it_from_the_first_step_on():
+    """An episode's first command is what was given before, too: in the simulation, and in what is seen of it."""
+    env: Any = RandomizedParameters(PastCommands(make_environment("pendulum"), 2), [[1.0, 0.1]], LATE)
+
+    def after(*commands):
+        env.reset(seed=0)
+        seen = [env.step(np.array([u]))[0] for u in commands[:-1]]
+        env.unwrapped.set_state(np.array([0.3]), np.array([0.2]))
+        return seen[-1][3:], env.step(np.array([commands[-1]]))[0]
+
+    for early, late in (((0.7, 0.4), (0.1, 0.7, 0.7, 0.4)), ((0.7, 0.1, 0.4), (0.2, 0.7, 0.1, 0.4))):
+        (seen, first), (known, later) = after(*early), after(*late)
+        np.testing.assert_array_equal(seen, known)
+        np.testing.assert_allclose(first[:3], later[:3], rtol=0, atol=1e-12)
+
+
+def test_delays_count_in_full_and_lags_as_four():
+    """Delays in series add up, of each motor for itself; of a lag older commands count for little."""
+    hopper = make_environment("hopper")
+
+    def pending(*effects):
+        space = ParameterSpace([p for e in effects for p in e.parameters])
+        env = RandomizedParameters(hopper, None, space)
+        env.release()
+        return env.pending_commands
+
+    late = effect("actuation_delay", "*", delay=(0.0, 0.03))  # in control steps of 0.008 s
+    thigh, leg = (effect("actuator_lag", j, time_constant=(0.0, 0.1)) for j in ("thigh_joint", "leg_joint"))
+    assert pending(late) == 4
+    assert pending(thigh, leg) == 4
+    assert pending(late, thigh) == 8
+    assert pending(effect("actuator_lag", "*", time_constant=(0.0, 0.001))) == 1
+    assert pending(effect("coulomb_friction", "leg_joint", torque=(0.0, 1.0))) == 0
+
+
 def policy(past: int) -> Policy:
     """An actor of random weights."""
     rng = np.random.default_rng(past)
     shapes = {"hidden.0.weight": (4, 3 + past), "hidden.0.bias": (4,), "mean.weight": (1, 4), "mean.bias": (1,)}
     weights = {k: rng.normal(size=s) for k, s in {**shapes, "log_std.weight": (1, 4), "log_std.bias": (1,)}.items()}
-    return Policy(weights, [-1.5], [1.5], "nfpde/Pendulum-v0", past)
+    low, high = np.array([[-1.5], [1.5]], dtype=np.float32)
+    return Policy(weights, low, high, "nfpde/Pendulum-v0", past)
 
 
 @pytest.mark.parametrize("past", [0, 3])
@@ -98,8 +135,14 @@ def test_training_sees_as_many_as_delays_hold_back(tmp_path):
     again = evaluate_policy(load_policy(tmp_path / "late"), "pendulum", [[1.0, 0.05]], space=LATE, episodes=2)
     assert result.after.target is not None
     assert tuple(again.returns) == result.after.target.returns
+    maker = lambda: make_environment("pendulum")  # noqa: E731
+    for env in (maker, lambda: PastCommands(maker(), 2)):  # which know nothing of it, or all
+        found = evaluate_policy(load_policy(tmp_path / "late"), env, [[1.0, 0.05]], space=LATE, episodes=2)
+        assert tuple(found.returns) == tuple(again.returns)
     without = train_sac("pendulum", [[1.0, 0.1]], out=tmp_path / "without", past_commands=0, **call)
     assert without.policy.nobservation == 3
+    assert train_sac("pendulum", [[1.0, 0.1]], out=tmp_path / "without", **call).policy.past_commands == 0  # goes on
+    assert train_sac("pendulum", None, out=tmp_path / "nominal", **call).policy.past_commands == 0
     call |= {"space": ParameterSpace([MASS]), "target": [[1.0]]}
     assert train_sac("pendulum", [[1.0]], out=tmp_path / "prompt", **call).policy.past_commands == 0
 
@@ -125,7 +168,20 @@ def test_refusals(tmp_path):
     )
     with pytest.raises(BadInput, match=r"past commands go with observations that are a row of numbers.*FlattenObs"):
         PastCommands(parts, 2)
-    with pytest.raises(BadInput, match="n is 0; it must be a whole number, at least 1"):
-        PastCommands(make_environment("pendulum"), 0)
+    for n in (0, -1, 1.5):
+        with pytest.raises(BadInput, match=f"n is {n}; it must be a whole number, at least 1"):
+            PastCommands(make_environment("pendulum"), n)  # type: ignore[arg-type]
+    twice = lambda: PastCommands(make_environment("pendulum"), 2)  # noqa: E731
+    with pytest.raises(BadInput, match="has 2 past commands in its observations already"):
+        train_sac(twice, [[1.0, 0.1]], space=LATE, steps=160, out=tmp_path, past_commands=3)
+    with pytest.raises(BadInput, match="sees 4 numbers, which cannot end with 5 past commands of 1 numbers each"):
+        replace(policy(1), past_commands=5)
+    for seen in (np.zeros(4), np.zeros((2, 3)), "up", 1.0):
+        with pytest.raises(BadInput, match=r"of 3 numbers \(and adds its own last 1 c|a row of numbers, got"):
+            Controller(policy(1)).act(seen)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="a controller runs what load_policy returns, got a str"):
+        Controller("runs/policy")  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match=r"of 4 numbers, the last of them its own last 1 commands \(see nfpde.rl.Contr"):
+        policy(1).predict(np.zeros(3))
     with pytest.raises(BadInput, match="past_commands is -2; it must be a whole number, at least 0"):
         train_sac("pendulum", [[1.0, 0.1]], space=LATE, steps=160, out=tmp_path, past_commands=-2)

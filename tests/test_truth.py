@@ -38,14 +38,31 @@ def test_saved_and_loaded_is_the_same_to_the_bit(tmp_path):
 
 
 def test_over_another_space_it_says_the_same():
-    """Order and bounds are the other space's; vectors, population and names go along."""
+    """Order and bounds are the other space's; the population stays cut to its own bounds, whatever the others are."""
     other = ParameterSpace([Parameter("damping", low=-1.0, high=2.0), Parameter("mass", low=0.0, high=9.0, name="m")])
-    turned = Truth(SPACE, XI, ["a", "b"], POPULATION, "5ca1ab1e").over(other)
+    truth = Truth(SPACE, XI, ["a", "b"], POPULATION, "5ca1ab1e")
+    turned = truth.over(other)
     assert (turned.space, turned.episodes, turned.dataset) == (other, ("a", "b"), "5ca1ab1e")
     np.testing.assert_array_equal(turned.xi, XI[:, ::-1])
-    assert turned.population is not None
-    np.testing.assert_array_equal(turned.population.means, POPULATION.means[:, ::-1])
-    np.testing.assert_array_equal(turned.population.covariances, POPULATION.covariances[:, ::-1, ::-1])
+    assert turned.population is None
+    own, drawn = (truth.draw_population(500, np.random.default_rng(0), s) for s in (None, other))
+    assert own is not None
+    assert drawn is not None
+    np.testing.assert_array_equal(drawn, own[:, ::-1])
+    assert (SPACE.low <= own).all()
+    assert (own <= SPACE.high).all()
+    assert Truth(SPACE, XI, ["a", "b"]).draw_population(5, np.random.default_rng(0)) is None
+
+
+def test_parameters_that_names_alone_tell_apart_keep_their_columns():
+    """Own simulators may have two of one field; masses are the same whether their inertia goes along or not."""
+    first = ParameterSpace([Parameter("gain", low=0.0, high=1.0, name=n) for n in ("left", "right")])
+    second = ParameterSpace([Parameter("gain", low=0.0, high=2.0, name=n) for n in ("right", "left")])
+    np.testing.assert_array_equal(Truth(first, np.array([[0.1, 0.9]]), ["a"]).over(second).xi, [[0.9, 0.1]])
+    first, second = (ParameterSpace([Parameter("body_mass", "rod", 0.0, 1.0, scale_inertia=s)]) for s in (True, False))
+    assert Truth(first, np.array([[0.5]]), ["a"]).over(second).space == second
+    with pytest.raises(SpaceMismatch, match="only the others none"):
+        Truth(ParameterSpace([*first, Parameter("x", low=0.0, high=1.0)]), np.full((1, 2), 0.5), ["a"]).over(first)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +76,7 @@ def test_over_another_space_it_says_the_same():
         (
             Parameter("damping", low=0.0, high=1.0, relative=True),
             SpaceMismatch,
-            "relative and scale_inertia",
+            "component and relative count",
         ),
         (Parameter("damping", low=0.2, high=1.0), BadInput, r"row 0: damping = 0\.1 lies outside \[0\.2, 1\]"),
     ],

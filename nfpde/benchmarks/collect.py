@@ -56,7 +56,7 @@ def collect(
 
     Raises:
         BadInput: an unknown target, a count below one, more robots than episodes, a seed or noise below zero.
-        BadEffect: an effect that cannot act in the robot's environment.
+        BadEffect, BadParameter: an effect that cannot act in the robot's environment, or one that is hidden twice.
         SimulationDiverged: an episode blew up.
     """
     count = episodes if robots is None else robots
@@ -113,16 +113,18 @@ def record(
     with quiet_mujoco():
         env = gymnasium.make(robot.env_id).unwrapped
     space = robot.space if space is None else space
-    physics = LivePhysics(env, space)
     recordings = []
-    for i, vector in enumerate(space.check(xi)):
-        physics.write(vector)
-        try:
-            recordings.append(_record(physics, f"{i}", steps, rng, None if labels is None else labels[i]))
-        except PhysicsDiverged:
-            shown = ", ".join(f"{name}={value:g}" for name, value in zip(space.names, vector, strict=True))
-            raise SimulationDiverged(f"{robot.name}: the recording of episode {i} blew up, with {shown}") from None
-    env.close()
+    try:
+        physics = LivePhysics(env, space, observes=False)
+        for i, vector in enumerate(space.check(xi)):
+            physics.write(vector)
+            try:
+                recordings.append(_record(physics, f"{i}", steps, rng, None if labels is None else labels[i]))
+            except PhysicsDiverged:
+                shown = ", ".join(f"{name}={value:g}" for name, value in zip(space.names, vector, strict=True))
+                raise SimulationDiverged(f"{robot.name}: the recording of episode {i} blew up, with {shown}") from None
+    finally:
+        env.close()
     return _with_metadata(recordings, robot)
 
 
@@ -141,7 +143,7 @@ def _record(physics: LivePhysics, name: str, steps: int, rng: np.random.Generato
         states.append(physics.measured())
     commands.append(commands[-1])  # no command acts after the last row
     qpos, qvel = np.split(np.array(states), [env.model.nq], axis=1)
-    return Episode(name, env.dt * np.arange(len(states)), qpos, qvel, np.array(commands), label)
+    return Episode(name, physics.control_dt * np.arange(len(states)), qpos, qvel, np.array(commands), label)
 
 
 def _with_metadata(recordings: list[Episode], robot: Robot) -> Dataset:

@@ -48,5 +48,5 @@ def command(
     truth.save(out / "truth.json")
     chosen.space.to_toml(out / "parameters.toml")
     typer.echo(f"{dataset}\n{out / 'data.npz'}: the recordings")
-    typer.echo(f"{out / 'truth.json'}: the robots' true parameters, for nfpde evaluate only")
+    typer.echo(f"{out / 'truth.json'}: the robots' true parameters, for nfpde evaluate and as nfpde train's target")
     typer.echo(f"{out / 'parameters.toml'}: which parameters are unknown, with their bounds")

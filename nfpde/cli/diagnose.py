@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -71,7 +72,9 @@ def command(
     typer.echo(f"{path}: the answer, for machines")
     typer.echo(f"{page}: the answer, with pictures")
     if _write_explained(found, space, explained):
-        typer.echo(f"{explained}: what to fit next: nfpde fit {model} {data} --params {explained} --out ...")
+        call = ["nfpde", "fit", model, str(data), "--params", str(explained)]
+        call += [] if resample is None else ["--resample", f"{resample:g}"]
+        typer.echo(f"{explained}: what to fit next: {shlex.join(call)} --out ...")
     typer.echo(f"simulated on {found.device}")
 
 

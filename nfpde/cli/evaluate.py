@@ -33,10 +33,11 @@ def command(
     """
     estimate = ParameterDistribution.load(folder / "distribution")
     initial = ParameterDistribution.load(folder / "initial", estimate.space)
-    known = _over(Truth.load(truth), estimate.space, truth)
+    recorded = Truth.load(truth)
+    known = _over(recorded, estimate.space, truth)
     fit = read_json(folder / "fit.json", SCHEMA_VERSION) if (folder / "fit.json").exists() else {}
     _check_recordings(fit.get("dataset"), folder / "fit.json", truth, known.dataset)
-    result = evaluate(estimate, known, initial=initial, samples=samples, seed=seed)
+    result = evaluate(estimate, recorded, initial=initial, samples=samples, seed=seed)
     robots = accuracy(fit.get("robots", []), known)
     figures = result.to_json() | ({} if robots is None else {"robots": robots.to_json()})
     write_whole(folder / "evaluation.json", json.dumps(figures, indent=1))

@@ -29,6 +29,8 @@ def read_hidden(model: mujoco.MjModel, text: str) -> Hidden:
         )
     values = {}
     for key, _, number in given:
+        if key in values:
+            raise BadEffect(f"effect {text!r}: {key} is given twice")
         try:
             values[key] = float(number)
         except ValueError:

@@ -14,7 +14,7 @@ from nfpde.parameters import ParameterSpace
 from nfpde.rl.actor import Actor, BadAction, NotFinite, Predicts
 from nfpde.rl.behaviour import Repetition
 from nfpde.rl.numbers import whole_number
-from nfpde.rl.past import PastCommands
+from nfpde.rl.past import Controller, past_commands_of
 from nfpde.rl.policy import Policy
 from nfpde.rl.randomize import Draws, RandomizedParameters, check_source
 from nfpde.rl.tasks import Environment, make_environment
@@ -73,10 +73,10 @@ def evaluate_policy(
 
     Args:
         policy: has `predict(observation)`, or is a function from observation to action. Agents of Stable-Baselines3
-            act without exploration, recurrent ones with their state.
+            act without exploration, recurrent ones with their state; a `Policy` remembers its past commands where
+            the environment's observations do not hold them.
         env: name or maker of a MuJoCo environment, see `make_environment`; or one wrapped in `RandomizedParameters`,
-            whose source then counts where `source` is None. By name it is made as a `Policy` wants it, with past
-            commands in its observations.
+            whose source then counts where `source` is None.
         source: parameters of the episodes: a distribution to draw from; or fixed vectors (n, D), the "real" robots,
             taken in turn; of more vectors than episodes as many, drawn by the seed from equal stretches of the
             array, one of each; None for the nominal model.
@@ -101,10 +101,7 @@ def evaluate_policy(
     else:
         if source is None and space is None:
             raise BadInput("give the parameters' space for an evaluation on the nominal model")
-        bare = make_environment(env)
-        if isinstance(policy, Policy) and policy.past_commands and isinstance(env, str):
-            bare = PastCommands(bare, policy.past_commands)
-        made = wrapped = RandomizedParameters(bare, source, space)
+        made = wrapped = RandomizedParameters(make_environment(env), source, space)
         given = made.source
     vectors = episode_vectors(given, wrapped.space, episodes, seed)
     try:
@@ -129,6 +126,8 @@ def run_episodes(
             without an end.
         SimulationDiverged: an episode blew up.
     """
+    if isinstance(policy, Policy) and policy.past_commands and not past_commands_of(env):
+        policy = Controller(policy)
     actor = Actor(policy, env.action_space, env.label)
     seeds = np.random.SeedSequence(seed).generate_state(episodes)
     returns, lengths = np.zeros(episodes), np.zeros(episodes, np.int64)

@@ -18,11 +18,14 @@ Array = NDArray[np.float64]
 
 
 class PastCommands(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Appends the last n actions to the observation, oldest first; those before an episode's first are zero.
+    """Appends the last n actions to the observation, oldest first.
 
     An observation of a robot whose commands act late does not tell what it will do next: commands are under way. With
     them the task is a Markov decision process again (Katsikopoulos and Engelbrecht, Markov decision processes with
     delays and asynchronous cost collection, 2003).
+
+    Before an episode's first action they are zero. The first counts as the one that was given before, too, as in
+    recordings and under `RandomizedParameters`: after it the observation ends with n times that action.
 
     Args:
         env: with observations and actions that are arrays of numbers.
@@ -33,18 +36,18 @@ class PastCommands(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], n: int) -> None:
+        n = whole_number("n", n, 1)
         RecordConstructorArgs.__init__(self, n=n)
         super().__init__(env)
-        seen, acts = (
-            _row(what, space)
-            for what, space in (("observations", env.observation_space), ("actions", env.action_space))
-        )
+        self.n = n
+        seen = _row("observations", env.observation_space)
+        acts = _row("actions", env.action_space)
         self.observation_space = gymnasium.spaces.Box(
             np.concatenate([seen.low, np.tile(np.minimum(acts.low, 0), n)], dtype=np.float64),
             np.concatenate([seen.high, np.tile(np.maximum(acts.high, 0), n)], dtype=np.float64),
             dtype=np.float64,
         )
-        self.memory = Memory(whole_number("n", n, 1), acts.shape[0])
+        self.memory = Memory(n, acts.shape[0])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start an episode with nothing under way."""
@@ -69,19 +72,22 @@ def _row(what: str, space: gymnasium.Space[Any]) -> gymnasium.spaces.Box:
 
 
 class Memory:
-    """The last n commands (nu,), zero where there were none yet."""
+    """The last n commands (nu,): zero before the first, which counts as all those before it."""
 
     def __init__(self, n: int, nu: int) -> None:
-        self._none = np.zeros(nu)
-        self._past = deque([self._none] * n, maxlen=n)
+        self._n, self._none = n, np.zeros(nu)
+        self.clear()
 
     def clear(self) -> None:
         """Forget them all."""
-        self._past.extend([self._none] * (self._past.maxlen or 0))
+        self._past = deque([self._none] * self._n, maxlen=self._n)
+        self._begun = False
 
     def add(self, command: ArrayLike) -> None:
         """One more; the oldest is forgotten."""
-        self._past.append(np.array(command, dtype=np.float64))
+        given = np.array(command, dtype=np.float64)
+        self._past.extend([given] if self._begun else [given] * self._n)
+        self._begun = True
 
     def beside(self, observation: ArrayLike) -> Array:
         """An observation with the commands behind it."""
@@ -94,6 +100,9 @@ class Controller:
     Args:
         policy: what `load_policy` returned.
 
+    Raises:
+        BadInput: something else.
+
     Example:
         On a robot, once every control step::
 
@@ -103,19 +112,46 @@ class Controller:
     """
 
     def __init__(self, policy: Policy) -> None:
+        if not isinstance(policy, Policy):
+            raise BadInput(f"a controller runs what load_policy returns, got a {type(policy).__name__}")
         self.policy = policy
         self._memory = Memory(policy.past_commands, len(policy.low))
 
     def reset(self) -> None:
-        """The robot was at rest, or moved by something else: forget the commands given."""
+        """The robot starts anew: forget the commands given."""
         self._memory.clear()
 
     def act(self, observation: ArrayLike) -> NDArray[np.float32]:
         """The command (nu,) for what the environment's observation is on the robot.
 
         Raises:
-            BadInput: what `Policy.predict` refuses.
+            BadInput: an observation of another size, or one that is not finite.
         """
-        command = self.policy.predict(self._memory.beside(observation))
+        try:
+            seen = np.asarray(observation, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise BadInput(f"an observation is a row of numbers, got {observation!r:.80}") from None
+        own = self.policy.nobservation - self.policy.past_commands * len(self.policy.low)
+        if seen.shape != (own,):
+            raise BadInput(
+                f"this policy takes observations of {own} numbers (and adds its own last {self.policy.past_commands} "
+                f"commands), got an array of shape {seen.shape}"
+            )
+        command = self.policy.predict(self._memory.beside(seen))
         self._memory.add(command)
         return command
+
+    def predict(self, observation: ArrayLike, episode_start: ArrayLike = False) -> NDArray[np.float32]:
+        """`act`, for evaluations: an episode that starts begins without commands."""
+        if np.any(episode_start):
+            self.reset()
+        return self.act(observation)
+
+
+def past_commands_of(env: gymnasium.Env[Any, Any]) -> int:
+    """How many commands the observations of an environment hold already."""
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, PastCommands):
+            return env.n
+        env = env.env
+    return 0

@@ -75,6 +75,12 @@ class Policy:
                 raise BadInput(f"the policy's {layer} holds a number that is not finite")
             width = outputs if layer.startswith("hidden") else width
 
+        if self.past_commands * len(self.low) > self.nobservation:
+            raise BadInput(
+                f"the policy sees {self.nobservation} numbers, which cannot end with {self.past_commands} past "
+                f"commands of {len(self.low)} numbers each"
+            )
+
     @property
     def nhidden(self) -> int:
         """Number of hidden layers."""
@@ -99,8 +105,10 @@ class Policy:
         """
         x = np.asarray(observation, dtype=np.float32)
         if x.ndim not in (1, 2) or x.shape[-1] != self.nobservation:
+            last = f", the last of them its own last {self.past_commands} commands (see nfpde.rl.Controller)"
             raise BadInput(
-                f"this policy takes observations of {self.nobservation} numbers, got an array of shape {x.shape}"
+                f"this policy takes observations of {self.nobservation} numbers{last if self.past_commands else ''}, "
+                f"got an array of shape {x.shape}"
             )
         if not np.isfinite(x).all():
             raise BadInput(f"the observation holds a number that is not finite: {x}")

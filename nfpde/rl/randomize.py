@@ -129,7 +129,7 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
     @property
     def pending_commands(self) -> int:
         """Commands that may be under way, or still act, when the next one is given: under delays and lags."""
-        return int(np.ceil(self._physics.memory_time / self._physics.env.dt - 1e-9))
+        return self._physics.pending_commands
 
     def release(self) -> None:
         """Leave the wrapped environment as it was before: its own physics and solver, nominal parameters."""

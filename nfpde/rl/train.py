@@ -86,7 +86,7 @@ def train_sac(
         past_commands: how many of its own last actions the policy sees behind the environment's observation, oldest
             first (`PastCommands`; `Controller` keeps them on the robot). None for as many as may be under way under
             the delays and lags of the distribution's effects, without which a policy cannot know what its robot is
-            about to do; none where there are no such effects.
+            about to do (none where there are no such effects), or as the training has that is to go on.
         threads: torch's, while training. These networks are so small that more threads rarely pay, and on a busy
             machine they cost dearly.
         quiet: show no progress.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import time
 from collections.abc import Iterator
@@ -22,8 +23,8 @@ from nfpde.rl.actor import BadAction, NotFinite
 from nfpde.rl.behaviour import difference, observe
 from nfpde.rl.history import Point, TrainResult, write_json
 from nfpde.rl.learner import SacConfig, SacLearner, isolated_randomness, round_seed
-from nfpde.rl.past import PastCommands
-from nfpde.rl.policy import Policy
+from nfpde.rl.past import PastCommands, past_commands_of
+from nfpde.rl.policy import Policy, load_policy
 from nfpde.rl.randomize import Draws, RandomizedParameters
 from nfpde.rl.replay import ReplayFiles
 from nfpde.rl.scoring import Scoring
@@ -109,20 +110,36 @@ class Training:
         self.target: RandomizedParameters | None = None
         self.training = RandomizedParameters(make_environment(job.env, job.model), self.source, self.space)
         try:
-            self.past = self.training.pending_commands if job.past_commands is None else job.past_commands
-            if self.past:
+            self.past, inside = self._past_commands(), past_commands_of(self.training)
+            if inside and inside != self.past:
+                raise BadInput(
+                    f"environment {self.training.label} has {inside} past commands in its observations already; leave "
+                    f"past_commands out, or set it to {inside}"
+                )
+            if self.past and not inside:
                 self.training.release()
                 seen = PastCommands(self.training.env, self.past)
                 self.training = RandomizedParameters(seen, self.source, self.space)
             if job.target is not None:
                 bare = make_environment(job.env, job.model)
-                seen = PastCommands(bare, self.past) if self.past else bare
+                seen = PastCommands(bare, self.past) if self.past and not inside else bare
                 self.target = RandomizedParameters(seen, job.target, job.target_space)
             yield
         finally:
             self.training.close()
             if self.target is not None:
                 self.target.close()
+
+    def _past_commands(self) -> int:
+        """What was asked for; or as the environment or a training to go on with has it; or what may be under way."""
+        if self.job.past_commands is not None:
+            return self.job.past_commands
+        if inside := past_commands_of(self.training):
+            return inside
+        if (self.out / STATE_FILE).exists():
+            with contextlib.suppress(BadInput):  # a policy that cannot be read is told elsewhere
+                return load_policy(self.out).past_commands
+        return 0 if self.source is None else self.training.pending_commands
 
     def _begin(self) -> None:
         job = self.job
