@@ -157,7 +157,7 @@ class Truth:
         """
         own, other = ([_about(p) for p in s] for s in (self.space, space))
         if len(set(own)) < len(own):  # own simulators may tell parameters apart by name alone
-            own, other = (list(zip(keys, s.names, strict=True)) for keys, s in ((own, self.space), (other, space)))
+            own, other = ([(*_about(p), p.name) for p in s] for s in (self.space, space))
         if len(own) != len(other) or set(own) != set(other):
             lacks = [p.name for p, key in zip(self.space, own, strict=True) if key not in other]
             more = [p.name for p, key in zip(space, other, strict=True) if key not in own]
