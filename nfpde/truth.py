@@ -157,7 +157,7 @@ class Truth:
         """
         own, other = ([_about(p) for p in s] for s in (self.space, space))
         if len(set(own)) < len(own):  # own simulators may tell parameters apart by name alone
-            own, other = ([(*_about(p), p.name) for p in s] for s in (self.space, space))
+            own, other = ([_about(p, p.name) for p in s] for s in (self.space, space))
         if len(own) != len(other) or set(own) != set(other):
             lacks = [p.name for p, key in zip(self.space, own, strict=True) if key not in other]
             more = [p.name for p, key in zip(space, other, strict=True) if key not in own]
@@ -204,10 +204,10 @@ class Truth:
             raise BadInput(f"{path}: {error}") from None
 
 
-def _about(p: Parameter) -> tuple[object, ...]:
-    """What a parameter is, whatever its bounds and its name."""
+def _about(p: Parameter, name: str = "") -> tuple[object, ...]:
+    """What a parameter is, whatever its bounds, and its name if it is not given."""
     target = p.target[0] if isinstance(p.target, tuple) and len(p.target) == 1 else p.target
-    return p.field, target, p.component, p.relative
+    return p.field, target, p.component, p.relative, name
 
 
 def _population(entry: object) -> Population | None:
