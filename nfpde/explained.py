@@ -6,14 +6,11 @@ from dataclasses import replace
 
 from nfpde.effects import Effect
 from nfpde.errors import BadInput
-from nfpde.gap import Cause, Fitted, GapReport
+from nfpde.gap import Cause, GapReport
 from nfpde.gap.inertia import NAME as INERTIA
-from nfpde.gap.inertia import inertia_of
+from nfpde.gap.inertia import inertia_of, stays
 from nfpde.nearby import effect_near
 from nfpde.parameters import Parameter, ParameterSpace
-
-INERTIA_STAYS = 0.05
-"""Share of the way along with the mass at which a body's inertia is said not to follow it."""
 
 
 def explained_space(report: GapReport, space: ParameterSpace | None = None) -> ParameterSpace:
@@ -67,9 +64,5 @@ def _masses_told(report: GapReport, space: ParameterSpace) -> list[Parameter]:
     scaling = [p for p in space if p.field == "body_mass" and p.scale_inertia]
     asked = [e.parameters[0].name for e in inertia_of(report.model, space)]
     told = dict(zip(scaling, (report.base.get(name) for name in asked), strict=True))
-    stays = {p for p, share in told.items() if share is not None and _stays(share)}
-    return [replace(p, scale_inertia=False) if p in stays else p for p in space]
-
-
-def _stays(share: Fitted) -> bool:
-    return share.low <= INERTIA_STAYS and share.high < 1 - INERTIA_STAYS
+    alone = {p for p, share in told.items() if share is not None and stays(share.low, share.high)}
+    return [replace(p, scale_inertia=False) if p in alone else p for p in space]

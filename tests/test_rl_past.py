@@ -98,6 +98,16 @@ def test_delays_count_in_full_and_lags_as_four():
     assert pending(effect("coulomb_friction", "leg_joint", torque=(0.0, 1.0))) == 0
 
 
+def plain() -> Any:
+    """The pendulum from a function that makes it."""
+    return make_environment("pendulum")
+
+
+def with_two() -> Any:
+    """The same with two past commands in its observations."""
+    return PastCommands(plain(), 2)
+
+
 def policy(past: int) -> Policy:
     """An actor of random weights."""
     rng = np.random.default_rng(past)
@@ -135,8 +145,7 @@ def test_training_sees_as_many_as_delays_hold_back(tmp_path):
     again = evaluate_policy(load_policy(tmp_path / "late"), "pendulum", [[1.0, 0.05]], space=LATE, episodes=2)
     assert result.after.target is not None
     assert tuple(again.returns) == result.after.target.returns
-    maker = lambda: make_environment("pendulum")  # noqa: E731
-    for env in (maker, lambda: PastCommands(maker(), 2)):  # which know nothing of it, or all
+    for env in (plain, with_two):  # which know nothing of it, or all
         found = evaluate_policy(load_policy(tmp_path / "late"), env, [[1.0, 0.05]], space=LATE, episodes=2)
         assert tuple(found.returns) == tuple(again.returns)
     without = train_sac("pendulum", [[1.0, 0.1]], out=tmp_path / "without", past_commands=0, **call)
@@ -171,9 +180,8 @@ def test_refusals(tmp_path):
     for n in (0, -1, 1.5):
         with pytest.raises(BadInput, match=f"n is {n}; it must be a whole number, at least 1"):
             PastCommands(make_environment("pendulum"), n)  # type: ignore[arg-type]
-    twice = lambda: PastCommands(make_environment("pendulum"), 2)  # noqa: E731
     with pytest.raises(BadInput, match="has 2 past commands in its observations already"):
-        train_sac(twice, [[1.0, 0.1]], space=LATE, steps=160, out=tmp_path, past_commands=3)
+        train_sac(with_two, [[1.0, 0.1]], space=LATE, steps=160, out=tmp_path, past_commands=3)
     with pytest.raises(BadInput, match="sees 4 numbers, which cannot end with 5 past commands of 1 numbers each"):
         replace(policy(1), past_commands=5)
     for seen in (np.zeros(4), np.zeros((2, 3)), "up", 1.0):

@@ -15,6 +15,9 @@ from nfpde.sim.slots import slots_of
 NAME = "inertia.follows_mass"
 """How the parameter is called, before the bodies."""
 
+NEXT_TO = 0.05
+"""Share of the way that is as good as none: the bounds of intervals that end at an end are not known better."""
+
 
 class Inertia(Effect):
     """The inertia of bodies with a free mass, which follows the mass in part: nominal (mass / nominal mass)^share.
@@ -54,6 +57,16 @@ def inertia_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Effe
     masses = [p for p in space or () if p.field == "body_mass" and p.scale_inertia]
     names = element_names(model, "body")
     return [Inertia(tuple(names[b] for b in np.atleast_1d(slot.index[0]))) for slot in slots_of(model, masses)]
+
+
+def is_told(high: float) -> bool:
+    """Whether an inertia is known not to follow the mass all the way; `high` ends the interval of its share."""
+    return high < 1 - NEXT_TO
+
+
+def stays(low: float, high: float) -> bool:
+    """Whether an inertia is known to follow the mass part of the way at most, and may not follow it at all."""
+    return low <= NEXT_TO and is_told(high)
 
 
 def follows(parameter: Parameter) -> bool:

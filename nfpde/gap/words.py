@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from nfpde.gap.inertia import NAME
+from nfpde.gap.inertia import NAME, is_told, stays
 from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
 
 WHEN = {
@@ -21,9 +21,6 @@ WHEN = {
     "late": "late in the recordings",
 }
 """What regimes are, in a sentence."""
-
-_NEXT_TO = 0.05
-"""Share of the way that is as good as none: the bounds of intervals that end at an end are not known better."""
 
 _CLOSE = 0.1
 """Share of the gap that an effect which was not proven must take away to be worth a word."""
@@ -81,11 +78,11 @@ def summary(
     lines += [
         f"The inertia of {name.partition(':')[2]} does not follow the mass ({value.low:.2g} to {value.high:.2g} of the "
         "way): for a fit, set scale_inertia = false in the parameters' file."
-        if value.low <= _NEXT_TO
+        if stays(value.low, value.high)
         else f"The inertia of {name.partition(':')[2]} follows the mass part of the way ({value.low:.2g} to "
         f"{value.high:.2g}): for a fit neither true nor false is right for scale_inertia."
         for name, value in base.items()
-        if name.startswith(NAME) and value.high < 1 - _NEXT_TO
+        if name.startswith(NAME) and is_told(value.high)
     ]
     if verdict == "unexplained" and force is not None:
         free = f"A free force on {force.joint} of position, speed, command and time would take away"
