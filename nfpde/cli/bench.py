@@ -133,3 +133,23 @@ def gap(
         return
     out = out or Path("docs/results") / f"gap_{seed}"
     bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=found_device(device))
+
+
+@app.command("real")
+@stoppable
+def real(
+    recordings: Annotated[Path, typer.Argument(help="folder with one of each source, see the table")],
+    only: Annotated[str, typer.Option(help="beginnings of the cases' names, with commas; all if empty")] = "",
+    reports: Annotated[Path | None, typer.Option(help="folder for report.html of every case")] = None,
+    windows: Annotated[int | None, typer.Option(min=40, help="as in nfpde diagnose")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="decides which episodes are held out")] = 0,
+    out: Out = Path("docs/results"),
+    device: Annotated[Device, typer.Option(help=f"where the diagnosis simulates: {DEVICE_HELP}")] = "auto",
+) -> None:
+    """Published recordings of real robots against `nfpde diagnose`, beside what is known of each."""
+    from nfpde.bench.real.run import run
+    from nfpde.cli.telling import telling
+
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    with telling() as tell:
+        run(recordings, out, names=names, reports=reports, windows=windows, device=device, seed=seed, report=tell)

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 
 from nfpde.cli.models import DEVICE_HELP, MODEL_HELP, model_file, read_dataset
+from nfpde.cli.telling import telling
 from nfpde.errors import BadInput
 from nfpde.explained import explained_space
 from nfpde.gap import GapReport, diagnose_gap, write_report
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
-
-
-@contextmanager
-def _telling(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Shows what is being done: a spinner on a terminal, a line each elsewhere."""
-    console = Console(stderr=True, quiet=quiet)
-    if not console.is_terminal:
-        yield lambda what: console.print(what, markup=False)
-        return
-    with console.status("reading") as status:
-        yield lambda what: status.update(escape(what))
 
 
 def command(
@@ -63,7 +49,7 @@ def command(
     if params is not None and params.resolve() == explained.resolve():
         raise BadInput(f"{params} is what the diagnosis of {out} writes; give another folder for this one")
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
-    with _telling(quiet) as tell:
+    with telling(quiet) as tell:
         found = diagnose_gap(nominal, dataset, space, seed=seed, windows=windows, device=device, report=tell)
     path = found.save(out)
     page = write_report(found, out)
