@@ -215,7 +215,9 @@ def test_the_whole_episode_decides_what_a_gap_is(tmp_path):
 
 def test_arguments_that_would_do_nothing_are_refused(tmp_path):
     """`quaternions` and `max_gap` only mean something together with what uses them."""
-    with pytest.raises(BadInput, match="quaternions is given without resample, where it would do nothing"):
+    with pytest.raises(
+        BadInput, match="quaternions is given without resample or differentiate, where it would do nothing"
+    ):
         load_dataset(tmp_path / "d.npz", quaternions=[3])
     with pytest.raises(BadInput, match="max_gap is given without resample or split_gaps, where it would do nothing"):
         load_dataset(tmp_path / "d.npz", max_gap=1.0)

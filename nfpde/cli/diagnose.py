@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from nfpde.cli.models import DEVICE_HELP, MODEL_HELP, model_file, read_dataset
+from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, model_file, read_dataset
 from nfpde.cli.telling import telling
 from nfpde.errors import BadInput
 from nfpde.explained import explained_space
@@ -29,6 +29,7 @@ def command(
     resample: Annotated[
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
+    differentiate: Annotated[bool, typer.Option(help=DIFFERENTIATE_HELP)] = False,
     windows: Annotated[
         int | None,
         typer.Option(min=40, help="windows used of each half, 80 to 160 if not given: more are slower and surer"),
@@ -43,7 +44,7 @@ def command(
     the parameters for `nfpde fit`, those of the effects found among them.
     """
     space = None if params is None else ParameterSpace.from_toml(params)
-    dataset = read_dataset(data, resample, model)
+    dataset = read_dataset(data, resample, differentiate, model)
     nominal = model_file(model)
     explained = out / "explained.toml"
     if params is not None and params.resolve() == explained.resolve():
@@ -60,6 +61,7 @@ def command(
     if _write_explained(found, space, explained):
         call = ["nfpde", "fit", model, str(data), "--params", str(explained)]
         call += [] if resample is None else ["--resample", f"{resample:g}"]
+        call += ["--differentiate"] if differentiate else []
         typer.echo(f"{explained}: what to fit next: {shlex.join(call)} --out ...")
     typer.echo(f"simulated on {found.device}")
 

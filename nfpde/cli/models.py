@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nfpde.sim.warp import WarpSimulator
 
 DEVICE_HELP = "cpu, cuda (MuJoCo Warp), warp-cpu (its kernels without a GPU, for tests), or auto: cuda if there is one"
+DIFFERENTIATE_HELP = "take the velocities from the positions, for recordings that have none"
 MODEL_HELP = f"MJCF or URDF file, or a benchmark robot: {', '.join(BENCHMARKS)}"
 
 
@@ -53,27 +54,28 @@ def model_file(model: str) -> Path:
     return Path(model) if known is None else known.path
 
 
-def read_dataset(path: Path, resample: float | None, model: str) -> Dataset:
+def read_dataset(path: Path, resample: float | None, differentiate: bool, model: str) -> Dataset:
     """Load recordings; a folder made by `nfpde collect` stands for its data file, the only one in it.
 
-    Which columns are unit quaternions, to be resampled as such, is for the model to say.
+    Which columns are unit quaternions, to be resampled and differentiated as such, is for the model to say.
     """
     found = [f for f in path.iterdir() if f.suffix.lower() in (".npz", ".csv", ".parquet")] if path.is_dir() else []
     made_here = [f.name for f in found] == ["data.npz"]
     source = found[0] if made_here else path
-    if resample is None:
+    if resample is None and not differentiate:
         return load_dataset(source)
-    return load_dataset(source, resample=resample, quaternions=_quaternions(source, load_model(model_file(model))))
+    quaternions = _quaternions(source, load_model(model_file(model)), velocities=not differentiate)
+    return load_dataset(source, resample=resample, quaternions=quaternions, differentiate=differentiate)
 
 
-def _quaternions(source: Path, model: MjModel) -> list[int]:
+def _quaternions(source: Path, model: MjModel, *, velocities: bool) -> list[int]:
     """First qpos column of each unit quaternion of a model, where recordings have it: by name, or in the model's order.
 
     Raises:
         BadDataset: the columns have other names, or stand in an order in which no quaternion does.
     """
     ours = [q for q, _ in StateSpace.of_model(model).quaternions]
-    theirs = read_column_names(source).qpos if ours else None
+    theirs = read_column_names(source, velocities=velocities).qpos if ours else None
     if theirs is None:
         return ours
     widths = [QPOS_WIDTHS[int(k)] for k in model.jnt_type]
@@ -83,9 +85,10 @@ def _quaternions(source: Path, model: MjModel) -> list[int]:
         first = theirs.index(wanted[0]) if wanted[0] in theirs else 0
         if theirs[first : first + 4] != wanted:
             raise BadDataset(
-                f"{source}: to be resampled, the qpos columns {', '.join(wanted)} of the model must stand side by side "
-                f"in this order, as they are a quaternion (w, x, y, z); the data has {', '.join(theirs)}. Rename or "
-                "reorder them, or number all as qpos_0, qpos_1, ... in the model's order."
+                f"{source}: to be resampled or differentiated, the qpos columns {', '.join(wanted)} of the model must "
+                "stand side by side in this order, as they are a quaternion (w, x, y, z); the data has "
+                f"{', '.join(theirs)}. Rename or reorder them, or number all as qpos_0, qpos_1, ... in the "
+                "model's order."
             )
         found.append(first)
     return found

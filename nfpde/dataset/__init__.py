@@ -11,4 +11,5 @@ from nfpde.dataset.metadata import Metadata as Metadata
 from nfpde.dataset.model_fit import check_against_model as check_against_model
 from nfpde.dataset.resample import resample_episode as resample_episode
 from nfpde.dataset.resample import split_episode_at_gaps as split_episode_at_gaps
+from nfpde.dataset.velocities import differentiate_episode as differentiate_episode
 from nfpde.dataset.windows import Windows as Windows

@@ -15,11 +15,12 @@ from nfpde.errors import BadDataset
 from nfpde.storage import write_whole
 
 
-def read_csv(path: Path) -> Recording:
+def read_csv(path: Path, *, velocities: bool = True) -> Recording:
     """Read a .csv file in UTF-8, cells separated by commas, one header line.
 
     Args:
         path: The file. `NAME.meta.json` beside it is read where it exists.
+        velocities: Whether they are read; if not, `qvel` has no columns.
 
     Returns:
         Its content, time steps not yet checked.
@@ -28,7 +29,7 @@ def read_csv(path: Path) -> Recording:
         BadDataset: The file cannot be read, a cell is no number, or a column breaks a rule.
     """
     header = _header(path)
-    layout = read_header(header)
+    layout = read_header(header, velocities=velocities)
     try:
         types = {label: pa.float64() for label in layout.numbers} | {label: pa.string() for label in layout.texts}
         table = _read(path, header, types)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from nfpde.dataset.columns import ColumnNames
@@ -15,9 +16,10 @@ from nfpde.dataset.npz import read_npz, write_npz
 from nfpde.dataset.parquet_file import read_parquet, write_parquet
 from nfpde.dataset.recording import Recording
 from nfpde.dataset.resample import bridged_step, check_seconds, resample_episode, split_episode_at_gaps, whole_steps
+from nfpde.dataset.velocities import COMPUTED, differentiate_episode, names_with_velocities
 from nfpde.errors import BadDataset, BadInput
 
-_READERS: dict[str, Callable[[Path], Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
+_READERS: dict[str, Callable[..., Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
 _WRITERS: dict[str, Callable[[Dataset, Path], None]] = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
 
 
@@ -28,6 +30,7 @@ def load_dataset(
     quaternions: Sequence[int] = (),
     max_gap: float | None = None,
     split_gaps: bool = False,
+    differentiate: bool = False,
 ) -> Dataset:
     """Load recordings from a file, or from every data file of a folder.
 
@@ -38,11 +41,13 @@ def load_dataset(
         path: `.npz`, `.csv` or `.parquet`, or a folder of files of one of these formats.
         resample: Control step to resample every episode to [s]; None takes the rows as they are. See
             `resample_episode`.
-        quaternions: First qpos column of each unit quaternion; only together with `resample`.
+        quaternions: First qpos column of each unit quaternion; only together with `resample` or `differentiate`.
         max_gap: Longest step in time that is no gap [s], together with `resample` or `split_gaps`; None means 5
             median steps where `resample` is given (they are bridged), else 1.5.
         split_gaps: Whether to cut an episode into pieces at its gaps, instead of refusing it. The pieces are
             named NAME/0, NAME/1, ...; those too short for one control step are left out.
+        differentiate: Whether to take the velocities from the positions, for recordings that have none; those of the
+            file are not read then. See `differentiate_episode`.
 
     Returns:
         The data set.
@@ -52,39 +57,53 @@ def load_dataset(
             rule and what to do.
         BadInput: An argument does not make sense.
     """
-    if resample is None and quaternions:
-        raise BadInput("quaternions is given without resample, where it would do nothing; give resample, or neither.")
+    if quaternions and resample is None and not differentiate:
+        raise BadInput(
+            "quaternions is given without resample or differentiate, where it would do nothing; give one of these, or "
+            "none of the three."
+        )
     if resample is None and not split_gaps and max_gap is not None:
         raise BadInput("max_gap is given without resample or split_gaps, where it would do nothing; give one of them.")
     path = Path(path)
     with naming(path):
-        recording = _read(path)
-        episodes, metadata = list(recording.episodes), recording.metadata
+        recording = _read(path, velocities=not differentiate)
+        metadata, names = recording.metadata, recording.column_names
         if resample is not None:
-            episodes = [
-                new for e in episodes for new in _resample(e, resample, quaternions, max_gap, split_gaps=split_gaps)
-            ]
+            check_seconds(resample, "resample")
             metadata = replace(metadata, control_dt=float(resample))
-        elif split_gaps:
-            episodes = [piece for e in episodes for piece in split_episode_at_gaps(e, max_gap)]
+        if differentiate:
+            metadata = replace(metadata, conventions={**metadata.conventions, **COMPUTED})
+        episodes = []
+        for episode in recording.episodes:
+            longest = bridged_step(episode) if max_gap is None and resample is not None else max_gap
+            pieces = _pieces(episode, longest, resample) if split_gaps else [episode]
+            if differentiate:  # before resampling, which loses rows
+                pieces = [differentiate_episode(piece, quaternions) for piece in pieces]
+            if resample is not None:
+                pieces = [resample_episode(p, resample, quaternions=quaternions, max_gap=longest) for p in pieces]
+            episodes += pieces
         return Dataset(
             episodes,
             metadata=metadata,
-            column_names=recording.column_names,
+            column_names=names_with_velocities(names, quaternions) if differentiate else names,
             extra_columns=recording.extra_columns,
             source=str(path),
         )
 
 
-def read_column_names(path: str | Path) -> ColumnNames:
+def read_column_names(path: str | Path, *, velocities: bool = True) -> ColumnNames:
     """Names of the columns of a file, or of a folder's files, even where the steps in time are uneven.
+
+    Args:
+        path: See `load_dataset`.
+        velocities: Whether there must be velocities.
 
     Raises:
         BadDataset: see `load_dataset`.
     """
     path = Path(path)
     with naming(path):
-        return _read(path).column_names
+        return _read(path, velocities=velocities).column_names
 
 
 def save_dataset(dataset: Dataset, path: str | Path) -> None:
@@ -116,32 +135,29 @@ def save_dataset(dataset: Dataset, path: str | Path) -> None:
         write_metadata(dataset, metadata_path(path))
 
 
-def _read(path: Path) -> Recording:
+def _read(path: Path, *, velocities: bool) -> Recording:
     if path.is_dir():
-        return read_folder(path, _READERS)
+        return read_folder(path, {suffix: partial(read, velocities=velocities) for suffix, read in _READERS.items()})
     read = _READERS[_known_suffix(path)]
     if not path.exists():
         raise BadDataset("the file does not exist.")
-    return read(path)
+    return read(path, velocities=velocities)
 
 
-def _resample(
-    episode: Episode, control_dt: float, quaternions: Sequence[int], max_gap: float | None, *, split_gaps: bool
-) -> list[Episode]:
-    max_gap = bridged_step(episode) if max_gap is None else max_gap
-    pieces = [episode]
-    if split_gaps:
-        check_seconds(control_dt, "resample")
-        cut = split_episode_at_gaps(episode, max_gap)
-        pieces = [piece for piece in cut if piece is episode or whole_steps(piece, control_dt)]
-        if not pieces:
-            longest = max(piece.duration for piece in cut)
-            raise BadDataset(
-                f"episode {episode.name!r}: cut at its gaps (steps longer than max_gap={max_gap:.6g} s), its longest "
-                f"piece lasts {longest:.6g} s, less than one control step of {control_dt:.6g} s; resample to a smaller "
-                "step, raise max_gap, or remove the episode."
-            )
-    return [resample_episode(piece, control_dt, quaternions=quaternions, max_gap=max_gap) for piece in pieces]
+def _pieces(episode: Episode, max_gap: float | None, control_dt: float | None) -> list[Episode]:
+    """An episode cut at its gaps; those pieces that last a control step, where it is known."""
+    cut = split_episode_at_gaps(episode, max_gap)
+    if control_dt is None or cut == [episode]:
+        return cut
+    pieces = [piece for piece in cut if whole_steps(piece, control_dt)]
+    if not pieces:
+        longest = max(piece.duration for piece in cut)
+        raise BadDataset(
+            f"episode {episode.name!r}: cut at its gaps (steps longer than max_gap={max_gap:.6g} s), its longest "
+            f"piece lasts {longest:.6g} s, less than one control step of {control_dt:.6g} s; resample to a smaller "
+            "step, raise max_gap, or remove the episode."
+        )
+    return pieces
 
 
 def _known_suffix(path: Path) -> str:

@@ -10,11 +10,10 @@ import numpy as np
 from nfpde.dataset.columns import GROUPS, ColumnNames
 from nfpde.dataset.dataset import Dataset
 from nfpde.dataset.metadata import Metadata
-from nfpde.dataset.recording import Recording, check_extra
+from nfpde.dataset.recording import WITHOUT_VELOCITIES, Recording, check_extra
 from nfpde.dataset.rows import episodes_of_rows, label_texts, rows_of_episodes
 from nfpde.errors import BadDataset
 
-_REQUIRED = ("episode", "time", "qpos", "qvel", "ctrl")
 _DAMAGED = (  # what zipfile, zlib and NumPy raise on bytes that are no archive of theirs
     OSError,
     EOFError,
@@ -29,12 +28,13 @@ _DAMAGED = (  # what zipfile, zlib and NumPy raise on bytes that are no archive 
 _NAMES = tuple(f"{group}_names" for group in GROUPS)
 
 
-def read_npz(path: Path) -> Recording:
+def read_npz(path: Path, *, velocities: bool = True) -> Recording:
     """Read a .npz file; nothing in it is ever unpickled.
 
     Args:
         path: File with arrays `episode` (R,), `time` (R,), `qpos` (R, nq), `qvel` (R, nv), `ctrl` (R, nu) and,
             where known, `robot` (R,), `metadata` (JSON text), `qpos_names`, `qvel_names`, `ctrl_names`.
+        velocities: Whether they are read; if not, `qvel` has no columns.
 
     Returns:
         Its content, time steps not yet checked.
@@ -43,19 +43,23 @@ def read_npz(path: Path) -> Recording:
         BadDataset: The file cannot be read, or its arrays break a rule.
     """
     arrays = _read_arrays(path)
-    missing = [name for name in _REQUIRED if name not in arrays]
+    groups = GROUPS if velocities else tuple(group for group in GROUPS if group != "qvel")
+    needed = ("episode", "time", *groups)
+    missing = [name for name in needed if name not in arrays]
     if missing:
         found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "none"
         raise BadDataset(
             f"missing array(s) {', '.join(missing)}; arrays found: {found}. Needed are episode (R,), time (R,) [s], "
             "qpos (R, nq), qvel (R, nv) and ctrl (R, nu); for a passive system save ctrl with shape (R, 0)."
+            + (WITHOUT_VELOCITIES if missing == ["qvel"] else "")
         )
-    extra = [name for name in arrays if name not in (*_REQUIRED, *_NAMES, "robot", "metadata")]
-    check_extra(extra)
-    rows = {name: arrays[name] for name in (*_REQUIRED, "robot") if name in arrays}
+    extra = [name for name in arrays if name not in (*needed, *_NAMES, "robot", "metadata")]
+    check_extra(extra, groups)
+    rows = {name: arrays[name] for name in (*needed, "robot") if name in arrays}
+    rows.setdefault("qvel", np.zeros((np.size(rows["episode"]), 0)))
     names = {
         group: label_texts(arrays[f"{group}_names"], f"{group}_names").tolist()
-        for group in GROUPS
+        for group in groups
         if f"{group}_names" in arrays
     }
     return Recording(

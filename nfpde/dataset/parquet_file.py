@@ -14,11 +14,12 @@ from nfpde.errors import BadDataset
 _KEY = b"nfpde"
 
 
-def read_parquet(path: Path) -> Recording:
+def read_parquet(path: Path, *, velocities: bool = True) -> Recording:
     """Read a .parquet file.
 
     Args:
         path: The file; columns as in a .csv, metadata as JSON under the schema's key `nfpde`.
+        velocities: Whether they are read; if not, `qvel` has no columns.
 
     Returns:
         Its content, time steps not yet checked.
@@ -28,7 +29,7 @@ def read_parquet(path: Path) -> Recording:
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            layout = read_header(file.schema_arrow.names)
+            layout = read_header(file.schema_arrow.names, velocities=velocities)
             table = file.read(columns=[*layout.texts, *layout.numbers])
             facts = (file.schema_arrow.metadata or {}).get(_KEY)
         metadata = Metadata() if facts is None else Metadata.from_json(facts.decode())

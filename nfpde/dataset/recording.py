@@ -8,6 +8,11 @@ from nfpde.dataset.episode import Episode
 from nfpde.dataset.metadata import Metadata
 from nfpde.errors import BadDataset
 
+WITHOUT_VELOCITIES = (
+    " Recordings without velocities can have them taken from their positions: load_dataset(..., differentiate=True), "
+    "on the command line --differentiate."
+)
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -26,16 +31,17 @@ class Recording:
     extra_columns: tuple[str, ...]
 
 
-def check_extra(extra: Iterable[str]) -> None:
+def check_extra(extra: Iterable[str], groups: tuple[str, ...] = GROUPS) -> None:
     """Refuse unknown columns that look like ones a reader should have understood.
 
     Args:
         extra: Columns or arrays that were not read.
+        groups: What is read.
 
     Raises:
-        BadDataset: One begins with qpos, qvel or ctrl.
+        BadDataset: One begins with the name of a group.
     """
-    close = [name for name in extra if name.startswith(GROUPS)]
+    close = [name for name in extra if name.startswith(groups)]
     if close:
         raise BadDataset(
             f"unknown column(s) or array(s) {', '.join(close)}: a name that begins with qpos, qvel or ctrl must be "

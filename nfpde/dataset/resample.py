@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from nfpde.dataset.episode import Episode
+from nfpde.dataset.quaternions import check_columns, check_lengths
 from nfpde.dataset.timing import gap_rows
 from nfpde.errors import BadDataset, BadInput
 
@@ -142,15 +143,7 @@ def _check_quaternions(episode: Episode, quaternions: Sequence[int]) -> None:
             f"quaternions={list(quaternions)}; give the first qpos column of each (3 for a free joint that comes "
             "first). Where a model says which, it must be the one that was recorded."
         )
-    taken: set[int] = set()
-    for first in quaternions:
-        columns = set(range(first, first + 4))
-        if first < 0 or first + 4 > episode.nq or taken & columns:
-            raise BadInput(
-                f"quaternions={list(quaternions)}: each takes 4 qpos columns from its first on, inside "
-                f"nq={episode.nq} and without overlap."
-            )
-        taken |= columns
+    check_columns(quaternions, episode.nq)
 
 
 def _check_gaps(episode: Episode, max_gap: float | None) -> None:
@@ -197,12 +190,6 @@ def _interpolate(old: NDArray[np.float64], values: NDArray[np.float64], new: NDA
 
 
 def _slerp(episode: Episode, columns: slice, new: NDArray[np.float64]) -> NDArray[np.float64]:
-    recorded = episode.qpos[:, columns]
-    norms = np.linalg.norm(recorded, axis=1)
-    if (norms == 0).any():
-        row = int(np.argmin(norms))
-        raise BadDataset(
-            f"episode {episode.name!r}, row {row}, column qpos_{columns.start}: the quaternion is zero; "
-            "it must have unit length."
-        )
-    return Slerp(episode.time, Rotation.from_quat(recorded, scalar_first=True))(new).as_quat(scalar_first=True)
+    check_lengths(episode, columns)
+    poses = Rotation.from_quat(episode.qpos[:, columns], scalar_first=True)
+    return Slerp(episode.time, poses)(new).as_quat(scalar_first=True)

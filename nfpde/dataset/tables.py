@@ -12,7 +12,7 @@ from nfpde.dataset.arrays import frozen_floats
 from nfpde.dataset.columns import GROUPS, ColumnNames, repeated
 from nfpde.dataset.dataset import Dataset
 from nfpde.dataset.metadata import Metadata
-from nfpde.dataset.recording import Recording, check_extra
+from nfpde.dataset.recording import WITHOUT_VELOCITIES, Recording, check_extra
 from nfpde.dataset.rows import episodes_of_rows, rows_of_episodes
 from nfpde.errors import BadDataset
 
@@ -44,12 +44,13 @@ class TableLayout:
         return ["episode", "robot"] if self.robot else ["episode"]
 
 
-def read_header(header: Sequence[str]) -> TableLayout:
+def read_header(header: Sequence[str], *, velocities: bool = True) -> TableLayout:
     """Understand a table's header.
 
     Args:
         header: Column labels: episode, time, qpos_0.., qvel_0.., ctrl_0.. (or qpos_ELEMENT and so on) in any
             order, optionally robot. Other columns are not read, unless they begin with qpos, qvel or ctrl.
+        velocities: Whether they are read.
 
     Returns:
         The layout. Numbered columns are in the order of their numbers, named ones in the order of the table.
@@ -60,20 +61,23 @@ def read_header(header: Sequence[str]) -> TableLayout:
     twice = repeated(header)
     if twice:
         raise BadDataset(f"column(s) {', '.join(twice)} stand more than once in the header; rename or remove them.")
-    labels = {group: [label for label in header if label.startswith(f"{group}_")] for group in GROUPS}
+    groups = GROUPS if velocities else tuple(group for group in GROUPS if group != "qvel")
+    labels = {group: [label for label in header if label.startswith(f"{group}_")] for group in groups}
     missing = [label for label in ("episode", "time") if label not in header]
-    missing += [f"{group}_0 (or {group}_ELEMENT)" for group in ("qpos", "qvel") if not labels[group]]
-    used = {"episode", "time", "robot", *(label for group in GROUPS for label in labels[group])}
+    states = [group for group in groups if group != "ctrl" and not labels[group]]
+    missing += [f"{group}_0 (or {group}_ELEMENT)" for group in states]
+    used = {"episode", "time", "robot", *(label for group in groups for label in labels[group])}
     extra = tuple(label for label in header if label not in used)
-    check_extra(extra)
+    check_extra(extra, groups)
     if missing:
         raise BadDataset(
             f"missing column(s) {', '.join(missing)}; columns found: {', '.join(header)}. Needed are episode (the same "
             "label in every row of one recording), time [s], qpos_0.., qvel_0.. and, unless passive, ctrl_0.., "
-            "separated by commas."
+            "separated by commas." + (WITHOUT_VELOCITIES if len(missing) == 1 and states == ["qvel"] else "")
         )
+    labels.setdefault("qvel", [])
     names: dict[str, tuple[str, ...] | None] = {}
-    for group in GROUPS:
+    for group in groups:
         labels[group], names[group] = _order(group, labels[group])
     return TableLayout(labels, ColumnNames(**names), "robot" in header, extra)
 

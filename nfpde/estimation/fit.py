@@ -94,6 +94,7 @@ def fit(
     if isinstance(settings, TrajectoryConfig):
         problem = make_problem(simulator, dataset, settings.horizon, resolution)
         problem.check_memory()
+        run["computed"] = [c for c, yes in zip(simulator.states.channels, problem.computed, strict=True) if yes]
         if resolution is not None:
             run["resolution"] = np.asarray(resolution).tolist()
         result = fit_trajectory(problem, dataset, settings, seed, run, folder, quiet)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from nfpde.dataset import Dataset, Windows
+from nfpde.dataset.velocities import computed_velocities
 from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
@@ -27,7 +28,7 @@ from nfpde.gap.mistakes import (
 )
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
-from nfpde.gap.readings import CURED, Readings, check_columns, differenced
+from nfpde.gap.readings import CURED, Readings, axes_of, check_columns, differenced, listed
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 
@@ -73,6 +74,8 @@ def check_readings(model: mujoco.MjModel, dataset: Dataset) -> str:
         check_wraps(readings)
         check_columns(readings)
         check_spikes(readings)
+    if len(computed_velocities(dataset, ())):
+        return listed([f"{axis.name} (central)" for axis in axes_of(model)] or ["all bodies"])
     # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
     single = dataset.control_dt < 1.5 * model.opt.timestep
     return differenced(readings) if readings.axes and not single else ""

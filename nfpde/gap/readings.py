@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.dataset.travel import changes_over_spans, explained
+from nfpde.dataset.velocities import difference_ways
 from nfpde.elements import element_names, is_axis
 from nfpde.errors import BadDataset
 from nfpde.gap.grain import step_of
@@ -24,9 +25,6 @@ DEGREES = 180.0 / np.pi
 
 _UNIT = 0.1
 """How far a ratio of position to speed may be from that of degrees, as a share: scales of sensors are off by less."""
-
-_ROUNDED = 1e-5
-"""Share of the highest speed by which a speed that was computed from positions differs from that: single precision."""
 
 _TOGGLES = 2.5
 """Steps of its encoder that a resting joint's readings differ by at most: two, with rounding."""
@@ -112,19 +110,8 @@ def differenced(readings: Readings) -> str:
 
     "" where there are none.
     """
-    step, speed = np.diff(readings.qpos, axis=0) / readings.control_dt, readings.qvel[1:-1]
-    inner = readings.inside[1:] & readings.inside[:-1]
-    ways = {
-        "backward": step[:-1],
-        "forward": step[1:],
-        "central": 0.5 * (step[:-1] + step[1:]),
-    }
-    found = []
-    for k, axis in enumerate(readings.axes):
-        at = speed[inner, k]
-        scale = _ROUNDED * float(np.abs(at).max(initial=0.0))
-        exact = [way for way, values in ways.items() if scale and np.abs(values[inner, k] - at).max() <= scale]
-        found += [f"{axis.name} ({exact[0]})"] if exact else []
+    ways = difference_ways(readings.qpos, readings.qvel, readings.inside, readings.control_dt)
+    found = [f"{axis.name} ({way})" for axis, way in zip(readings.axes, ways, strict=True) if way]
     return listed(found) if found else ""
 
 

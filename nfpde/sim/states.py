@@ -39,6 +39,15 @@ class StateSpace:
         """Numbers in a difference of two states."""
         return len(self.channels)
 
+    @property
+    def axes(self) -> list[tuple[int, int]]:
+        """Columns in qpos and in qvel of every position that has its speed beside it: all but rotations of bodies."""
+        if self.nq - self.nv != len(self.quaternions):
+            return []
+        turning = {q + k for q, _ in self.quaternions for k in range(4)}
+        before = [sum(first < q for first, _ in self.quaternions) for q in range(self.nq)]
+        return [(q, q - before[q]) for q in range(self.nq) if q not in turning]
+
     def difference(self, predicted: Array, measured: Array) -> Array:
         """Predicted - measured, (..., nq+nv) twice (broadcast) to (..., ndiff).
 

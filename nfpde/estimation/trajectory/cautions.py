@@ -18,6 +18,13 @@ WIDER = 1.1
 CHANCE = 0.01
 """Probability that parameters which explain nothing gain as much by chance."""
 
+MOSTLY, NOTICED = 0.5, 0.01
+"""Share of what is left in a channel, and of what it changes by in a window, from which on errors of the simulation are
+spoken of."""
+
+WORST = 3
+"""Channels that are named."""
+
 
 def check_noise(problem: Problem, scatter: Scatter) -> None:
     """Refuse recordings of which the parameters explain all, so that nothing says how large the noise is.
@@ -42,7 +49,12 @@ def check_noise(problem: Problem, scatter: Scatter) -> None:
 
 
 def cautions(
-    problem: Problem, scatter: Scatter, errors: Mapping[str, Mapping[str, float]], told: Sequence[int]
+    problem: Problem,
+    scatter: Scatter,
+    errors: Mapping[str, Mapping[str, float]],
+    told: Sequence[int],
+    *,
+    loose: bool = False,
 ) -> list[str]:
     """Sentences on what makes this result weaker than its numbers look; none where nothing does.
 
@@ -51,8 +63,28 @@ def cautions(
         scatter: the learned noise.
         errors: of every channel, see `channel_errors`.
         told: number of robots that tell each parameter.
+        loose: whether the velocities were found to be worse than none.
     """
     found = []
+    if loose:
+        found.append(
+            "The recorded velocities foretell the positions worse than no velocities do, as those do that were "
+            "filtered, delayed or computed from positions: they are not believed, and the positions tell all."
+        )
+    elif problem.computed.any():
+        names = [c for c, computed in zip(problem.simulator.states.channels, problem.computed, strict=True) if computed]
+        found.append(
+            f"{', '.join(names)}: computed from positions, which tell all that such velocities do; these count next "
+            "to nothing here."
+        )
+    missing = simulation_share(problem, errors)
+    if missing:
+        worst = sorted(missing, key=lambda name: -missing[name])[:WORST]
+        found.append(
+            "Something is missing in the model that no parameter makes up for: what a control step of the simulation "
+            f"lacks is {listed([f'{missing[name]:.0%} of what is left in {name}' for name in worst])}. Parameters may "
+            "be off by more than their intervals say; nfpde diagnose looks for what is missing."
+        )
     wider = float(np.sqrt(widening(scatter.freedom)))
     if wider >= WIDER:
         found.append(
@@ -66,6 +98,26 @@ def cautions(
             "starts."
         )
     return found
+
+
+def simulation_share(problem: Problem, errors: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Share of the squares left in each channel that errors of the simulation make, where it is most and matters.
+
+    Args:
+        problem: windows sorted by robot.
+        errors: of every channel, see `channel_errors`.
+    """
+    unit = problem.unit[-len(errors) :]
+    large = {c: e["simulation"] > NOTICED * u for (c, e), u in zip(errors.items(), unit, strict=True)}
+    shares = {
+        c: min(1.0, (e["simulation"] / e["after"]) ** 2) for c, e in errors.items() if e["after"] > 0 and large[c]
+    }
+    return {c: share for c, share in shares.items() if share > MOSTLY}
+
+
+def listed(texts: Sequence[str]) -> str:
+    """Texts in a sentence: a, b and c."""
+    return " and ".join([", ".join(texts[:-1]), texts[-1]]) if len(texts) > 1 else texts[0]
 
 
 def no_better(errors: Mapping[str, Mapping[str, float]], windows: int, parameters: int) -> bool:

@@ -18,6 +18,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+ROUNDING = 1e-13
+"""Share of a variance that is rounding: what a large error of one channel makes of others is not known any better, and
+a covariance of sums that are known to more digits is singular in double precision."""
+
 
 @dataclass(frozen=True, eq=False)
 class Chains:
@@ -79,7 +83,7 @@ class Factor:
                 k = shared[now] @ inverse[before, last] * weights[before, None, None]
                 s = s - k[:, :, last] @ shared[now].swapaxes(1, 2)
                 gain[now] = k
-            s = 0.5 * (s + s.swapaxes(1, 2))
+            s = 0.5 * (s + s.swapaxes(1, 2)) + ROUNDING * s * np.eye(s.shape[1])
             spread[now], inverse[now] = s, np.linalg.inv(s)
             before = now
         return cls(chains, spread, inverse, gain)

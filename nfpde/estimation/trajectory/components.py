@@ -51,7 +51,7 @@ def rescaled(best: Judged, slopes: Array, kicks: Array | None) -> Scatter:
     expected_sensor -= np.minimum(lost_sensor, MOST_USED * expected_sensor)
     sensor = scatter.sensor * np.sqrt(shown_sensor / np.maximum(expected_sensor, 1e-300))
     if kicks is None:
-        process = _riccati(scatter.process, shown, expected - MOST_USED * lost)
+        process = _riccati(scatter.process, shown, _left(expected, lost))
     else:
         process = _rescaled_kicks(scatter.process, shown, expected, lost, kicks, slopes.shape[2])
     return replace(scatter, sensor=sensor, process=process)
@@ -178,6 +178,24 @@ def _riccati(process: Array, shown: Array, expected: Array) -> Array:
     squares, turns = np.linalg.eigh(side.T @ target @ side)
     half = (vectors / lengths) @ turns * np.maximum(squares, 0.0) ** 0.25
     return half @ half.T * np.outer(size, size)
+
+
+def _left(expected: Array, lost: Array) -> Array:
+    """What residuals show of the process (C, C) without what a fit has used up of it, which is no more than that.
+
+    Where both are next to all that there is, rounding may say otherwise: then no direction has more used up than is.
+    """
+    left = expected - MOST_USED * lost
+    try:
+        np.linalg.cholesky(left)
+    except np.linalg.LinAlgError:
+        size = np.sqrt(np.maximum(np.diag(expected), np.finfo(np.float64).tiny))
+        lower = np.linalg.cholesky(definite(expected / np.outer(size, size)))
+        half = np.linalg.solve(lower, np.linalg.solve(lower, lost / np.outer(size, size)).T)
+        values, vectors = np.linalg.eigh(0.5 * (half + half.T))
+        root = size[:, None] * (lower @ vectors)
+        return (root * (1 - MOST_USED * np.clip(values, 0.0, 1.0))) @ root.T
+    return left
 
 
 def _rescaled_kicks(process: Array, shown: Array, expected: Array, lost: Array, kicks: Array, ndiff: int) -> Array:

@@ -16,13 +16,20 @@ from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.borrowing import anything_new, borrowed_from, standing_out
 from nfpde.estimation.trajectory.cautions import check_noise
 from nfpde.estimation.trajectory.chains import Chains
+from nfpde.estimation.trajectory.foretold import foretold
 from nfpde.estimation.trajectory.freedom import Fitted
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, determined, distinct, local_posteriors, prior_information
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.places import better_over_decades, spread_over_width
 from nfpde.estimation.trajectory.problem import Problem
-from nfpde.estimation.trajectory.scatter import learn_alike, learn_shared
+from nfpde.estimation.trajectory.scatter import (
+    learn_alike,
+    learn_shared,
+    sensors_alone,
+    simulation_errs,
+    smoothed,
+)
 from nfpde.estimation.trajectory.settling import STILL, Linear, Linearised, farthest, settle
 from nfpde.estimation.trajectory.starts import start_slopes
 
@@ -31,12 +38,29 @@ Array = NDArray[np.float64]
 BORROWING_ROUNDS = (1, 2, 3)
 """Rounds that also start from where other robots ended, at most: see `TrajectoryEstimator._borrow`."""
 
+LOOSE = 1.0
+"""Error of a velocity that tells next to nothing, in what it changes by over a window: far larger than any difference
+of positions has, and small enough for double precision."""
+
+_FLAGS = ("learned", "settled", "begun", "doubts", "reached", "hopeless", "borrowing_pays")
+"""What a checkpoint has beside arrays."""
+
+CAUGHT_UP = 1 / 4
+"""Share of what a fresh begin is behind that a round must catch up for another one."""
+
+FRESH_TURNS = 2
+"""Turns of starts and parameters with the noise of the sensors alone, before it is learned anew."""
+
 
 @dataclass
 class TrajectoryEstimator:
     """Local posteriors of all robots; `step` is one round: Levenberg-Marquardt, then a new residual covariance.
 
-    The last round holds the noise: see `settle`.
+    Noise and parameters hold each other: what wrong parameters leave over passes for errors of the simulation, in which
+    a motion tells little, and they stay wrong. Where such errors are found, rounds begin once more from the sensors'
+    alone, and the likelier answer counts; where they are found then, too, once more without belief in the velocities,
+    and the answer counts that foretells the positions better, see `foretold`. The last round holds the noise, see
+    `settle`.
 
     Args:
         problem: windows sorted by robot.
@@ -50,7 +74,12 @@ class TrajectoryEstimator:
     iteration: int = 0
     converged: bool = False
     learned: bool = False
+    loose: bool = False
     settled: bool = False
+    begun: int = 0
+    doubts: int = 0
+    reached: float | None = None
+    hopeless: bool = False
     history: list[dict[str, float]] = field(default_factory=list)
     candidates: Candidates | None = None
 
@@ -63,6 +92,7 @@ class TrajectoryEstimator:
         self.slopes: Array | None = None
         self.places: Array | None = None
         self.borrowing_pays = True
+        self.rival: dict[str, Any] | None = None
 
     @property
     def title(self) -> str:
@@ -72,7 +102,7 @@ class TrajectoryEstimator:
     @property
     def total(self) -> int:
         """Rounds at most."""
-        return self.config.rounds + 1
+        return 3 * (self.config.rounds + 1)
 
     @property
     def done(self) -> bool:
@@ -82,10 +112,15 @@ class TrajectoryEstimator:
     def step(self) -> dict[str, float]:
         """One round for all robots; returns its figures, which are also added to `history`."""
         started = time.perf_counter()
-        if self.converged or self.iteration >= self.config.rounds:
-            self._settle()
-        else:
+        if not (self.converged or self.hopeless) and self.iteration - self.begun < self.config.rounds:
             self._round()
+            self._catch_up()
+        else:
+            self._choose()
+            if self._in_doubt():
+                self._begin_anew()
+            else:
+                self._settle()
         self.iteration += 1
         best, c = self._best(), self._found()
         figures = {
@@ -117,6 +152,73 @@ class TrajectoryEstimator:
         self._learn_noise()
         self.learned = bool(abs(self.noise.log_scale - before) < 1e-2)
         self.converged = bool(self.learned and moved < STILL and self.iteration > (self.robots > 1))
+
+    def _catch_up(self) -> None:
+        """Give up a fresh begin that stays behind."""
+        if self.rival is None:
+            return
+        worth = self._worth(self.doubts - 1)
+        behind = self.rival["worth"] - worth
+        if self.reached is not None and behind > 0:
+            self.hopeless = worth - self.reached < CAUGHT_UP * behind
+        self.reached = worth
+
+    def _in_doubt(self) -> bool:
+        """Whether errors of the simulation are found, and not everything has been tried."""
+        if self.slopes is None or not simulation_errs(self.noise.scatter, self.slopes):
+            return False
+        return self.doubts == 0 or bool(self.doubts == 1 and (self.problem.velocities & ~self.problem.computed).any())
+
+    def _begin_anew(self) -> None:
+        """Keep what was found, and go on from where it leads if the sensors alone err, the second time only positions'.
+
+        Velocities count next to nothing then.
+        """
+        c, slopes = self._found(), self.slopes
+        if slopes is None:
+            raise RuntimeError("no round has been made")
+        self.rival = self._held() | {"worth": self._worth(self.doubts), "learned": self.learned}
+        self.loose = self.doubts == 1
+        scatter = sensors_alone(self.noise.scatter, slopes, (self._grain, self.problem.floor))
+        for _ in range(FRESH_TURNS):
+            best = self._best()
+            residuals = np.concatenate([c.residuals[k] for k in best])
+            weights, errors, left = smoothed(scatter, self.chains, slopes, residuals)
+            linear = Linear(c.z[best], left, weights, errors)
+            at = Linearised.at(self.measured, linear, scatter, self.chains)
+            self._take(linear, at)
+            slopes = at.slopes
+            restart(self.problem, c, self.noise)
+            improve(self.problem, c, self.noise, self.config.steps)
+            c = self.candidates = distinct(c)
+        reweigh(c, self.noise)
+        self.doubts, self.begun = self.doubts + 1, self.iteration + 1
+        self.learned = self.converged = self.hopeless = False
+        self.reached = None
+
+    def _choose(self) -> None:
+        """Of what was found last and before, what is worth more."""
+        if self.rival is not None and self._worth(self.doubts - 1) <= self.rival["worth"]:
+            self._take_up(self.rival)
+            self.learned = self.rival["learned"]
+        self.rival = None
+
+    def _worth(self, doubt: int) -> float:
+        """What two answers are told apart by: likelihood where both believe the same sensors, else what is foretold."""
+        best, c = self._best(), self._found()
+        if doubt == 0:
+            return -float(c.cost[best].sum() - 2 * np.linalg.slogdet(self.noise.whitening.own)[1].sum())
+        if self.slopes is None:
+            raise RuntimeError("no round has been made")
+        residuals = np.concatenate([c.residuals[k] for k in best])
+        return foretold(self.noise.scatter, self.chains, self.slopes, residuals, ~self.problem.velocities)
+
+    @property
+    def _grain(self) -> Array:
+        """Error of a measured state below which no channel is believed, in units (ndiff,)."""
+        p = self.problem
+        unbelieved = p.velocities if self.loose else p.computed
+        return np.where(unbelieved, np.maximum(p.grain, LOOSE), p.grain)
 
     def _settle(self) -> None:
         """Hold the noise until parameters and starts agree, whatever the rounds before were going around between."""
@@ -205,7 +307,7 @@ class TrajectoryEstimator:
             self.slopes = start_slopes(p, z, np.sqrt(np.diag(start.process)[-p.simulator.states.ndiff :]))
         told = Fitted.of([s for k in best if (s := c.slopes[k]) is not None], prior_information(z))
         c.slopes = [None] * len(c.slopes)  # they take memory, and the next round has others
-        found = learn_shared(start, residuals, self.slopes, self.chains, told, (p.grain, p.floor))
+        found = learn_shared(start, residuals, self.slopes, self.chains, told, (self._grain, p.floor))
         self._linearise(Linear(z, found.left, found.weights, found.errors), found.scatter)
         restart(self.problem, c, self.noise)
 
@@ -232,23 +334,36 @@ class TrajectoryEstimator:
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next round depends on, as tensors and JSON."""
-        c = self.candidates
-        saved: dict[str, Any] = vars(self.noise.scatter).copy()
-        if self.linear is not None:
-            saved |= vars(self.linear)
-        if c is not None:
-            saved |= {"robot": c.robot, "z": c.z, "damping": c.damping, "places": self.places}
-            saved |= {"information": c.information, "data_information": c.data_information}
-        tensors, layout = flatten_state("trajectory", saved)
+        tensors, layout = flatten_state("trajectory", self._held())
         info = {"iteration": self.iteration, "converged": self.converged, "history": list(self.history)}
-        info |= {name: getattr(self, name) for name in ("learned", "settled", "borrowing_pays")}
-        return tensors, {**info, "trajectory": layout}
+        info |= {name: getattr(self, name) for name in _FLAGS}
+        info |= {"trajectory": layout, "rival": None}
+        if self.rival is not None:
+            more, info["rival"] = flatten_state("rival", self.rival)
+            tensors = tensors | more
+        return tensors, info
 
     def restore(self, tensors: dict[str, Tensor], info: dict[str, Any]) -> None:
         """Go on from a `state`; the candidates are simulated again."""
-        saved = restore_state(info["trajectory"], tensors)
         self.iteration, self.converged, self.history = info["iteration"], info["converged"], info["history"]
-        self.learned, self.settled, self.borrowing_pays = (info[k] for k in ("learned", "settled", "borrowing_pays"))
+        for name in _FLAGS:
+            setattr(self, name, info[name])
+        self._take_up(restore_state(info["trajectory"], tensors))
+        self.rival = None if info["rival"] is None else restore_state(info["rival"], tensors)
+
+    def _held(self) -> dict[str, Any]:
+        """What `_take_up` makes the noise, the starts and the candidates of."""
+        c = self.candidates
+        saved: dict[str, Any] = {**vars(self.noise.scatter), "loose": self.loose}
+        if self.linear is not None:
+            saved |= vars(self.linear)
+        if c is not None:
+            saved |= {"robot": c.robot, "z": c.z.copy(), "damping": c.damping.copy(), "places": self.places}
+            saved |= {"information": c.information.copy(), "data_information": c.data_information.copy()}
+        return saved
+
+    def _take_up(self, saved: dict[str, Any]) -> None:
+        self.loose = saved["loose"]
         scatter = Scatter(*(saved[f.name] for f in fields(Scatter)))
         self.noise = Noise.alike(scatter, self.problem.members)
         if "best" in saved:

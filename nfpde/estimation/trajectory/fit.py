@@ -70,7 +70,7 @@ def fit_trajectory(
     counted["simulated_steps"] += problem.simulator.simulated_steps - steps
     found = {
         "converged": estimator.alone.converged,
-        "cautions": cautions(problem, scatter, errors, told),
+        "cautions": cautions(problem, scatter, errors, told, loose=estimator.alone.loose),
         "noise_degrees": scatter.degrees,
         "noise_freedom": scatter.freedom if np.isfinite(scatter.freedom) else None,
         "population": describe_population(together),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nfpde.dataset import Dataset, Windows
+from nfpde.dataset.velocities import computed_velocities
 from nfpde.errors import BadDataset, BadInput
 from nfpde.losses import increment_scale
 from nfpde.sim import Simulator, Whitening
@@ -42,6 +43,7 @@ class Problem:
     unit: what a residual of 1 stands for in each channel                (C,)
     floor: residual below which no channel is believed, in units         (C,)
     grain: error of a measured state below which no channel is believed, in units    (ndiff,)
+    computed: which channels of a state are velocities that were computed from positions    (ndiff,)
     """
 
     simulator: Simulator
@@ -52,11 +54,18 @@ class Problem:
     unit: Array
     floor: Array
     grain: Array
+    computed: NDArray[np.bool_]
 
     @property
     def channels(self) -> int:
         """Numbers in a window's residual, C = H x ndiff."""
         return len(self.unit)
+
+    @property
+    def velocities(self) -> NDArray[np.bool_]:
+        """Which channels of a state are velocities, (ndiff,)."""
+        states = self.simulator.states
+        return np.arange(states.ndiff) >= states.ndiff - states.nv
 
     @property
     def coarse(self) -> bool:
@@ -169,7 +178,9 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
         # rounding to steps of r leaves errors that are uniform over a step: a standard deviation of r / sqrt(12)
         grain = _steps(simulator, resolution) / np.sqrt(12.0) / unit[: len(grain)]
     episodes = tuple(tuple(e.name for e, o in zip(dataset, labels, strict=True) if o == name) for name in names)
-    return Problem(simulator, windows, names, episodes, members, unit, floor, grain)
+    computed = np.zeros(len(grain), bool)
+    computed[simulator.states.ndiff - simulator.states.nv + computed_velocities(dataset, simulator.states.axes)] = True
+    return Problem(simulator, windows, names, episodes, members, unit, floor, grain, computed)
 
 
 def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:

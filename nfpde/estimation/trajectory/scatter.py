@@ -36,6 +36,13 @@ shorter ones a few that matter are not told from those of the states."""
 CHANCE = 0.01
 """Probability that the errors of a simulation pass for correlated beyond what is handed on when they are not."""
 
+ERRS, MATTERS = 0.5, 1e-3
+"""Share of a channel's variance that errors of the simulation make, and their size, as a share of what the channel
+changes by in a window, from which on they are worth a doubt: parameters so little off are as good as right."""
+
+NEXT_TO_NONE = 1e-3
+"""Share of the variances with which errors of the simulation begin where they are believed to be none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Learned:
@@ -94,6 +101,30 @@ def learn_shared(
             found, freely = whole, True
     scatter = replace(found.scatter, freedom=degrees_left(found, slopes[kept], None if freely else kicks))
     return Learned(scatter, *smoothed(scatter, chains, slopes, residuals))
+
+
+def simulation_errs(scatter: Scatter, slopes: Array) -> bool:
+    """Whether errors of the simulation make a part of what any channel shows that matters."""
+    if not len(scatter.sensor):
+        return False
+    own = np.median(np.einsum("ncc->nc", scatter.covariances(slopes)[0]), axis=0)
+    process = np.diag(scatter.process)
+    return bool(((process > ERRS * own) & (scatter.scale * process > MATTERS**2)).any())
+
+
+def sensors_alone(scatter: Scatter, slopes: Array, floors: tuple[Array, Array]) -> Scatter:
+    """Noise that leaves as much in every channel, and all of it is the sensors'.
+
+    Args:
+        scatter: what leaves so much.
+        slopes: derivative of every window's end by its start            (N, C, ndiff)
+        floors: standard deviations below which no error of a state (ndiff,) and of the simulation (C,) is believed.
+    """
+    ndiff = slopes.shape[2]
+    own = scatter.scale * np.median(np.einsum("ncc->nc", scatter.covariances(slopes)[0]), axis=0)
+    reach = 1 + (slopes[:, -ndiff:] ** 2).sum(2).mean(0)
+    sensor = np.maximum(own[-ndiff:] / reach, floors[0] ** 2)
+    return Scatter(sensor, np.diag(np.maximum(NEXT_TO_NONE * own, floors[1] ** 2)))
 
 
 def smoothed(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array) -> tuple[Array, Array, Array]:
