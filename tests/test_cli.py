@@ -189,7 +189,7 @@ BAD = {
         "iterations is 0; it must be an integer of at",
     ),
     "fit with seed": ("fit hopper {data} --out {tmp}/x --seed -1", "seed is -1; it must be an integer from 0 to 92233"),
-    "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "control_dt is 0.0; it must be a positive number"),
+    "resample": ("fit hopper {data} --out {tmp}/x --resample 0", "resample is 0.0; it must be a positive number"),
     "too long": ("fit hopper {data} --out {tmp}/x --horizon 500", "500"),
     "truth of others": ("evaluate {fit} --truth {tmp}/other.json", "body_mass:foot, dof_damping:thigh_joint"),
     "no truth": ("evaluate {fit} --truth {tmp}/none.json", "none.json cannot be read"),

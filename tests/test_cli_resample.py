@@ -80,7 +80,7 @@ def test_named_columns_that_are_no_quaternion_are_refused(folder, monkeypatch):
     shuffled = (*NAMES[:4], NAMES[5], NAMES[4], *NAMES[6:])
     write(folder / "data.npz", shuffled)
     text = loaded(folder, monkeypatch, "diagnose", folder / "data.npz")
-    assert "data.npz: to be resampled, the qpos columns root[3], root[4], root[5], root[6] of the model must" in text
+    assert "data.npz: to be resampled or differentiated, the qpos columns root[3], root[4], root[5], root[6]" in text
     assert "the data has knee, root[0], root[1], root[2], root[4], root[3], root[5], root[6]. Rename or reorder" in text
     time = np.arange(30) * 0.01
     names = ColumnNames(qpos=tuple(f"trunk{i}" for i in range(8)), qvel=SPEEDS)

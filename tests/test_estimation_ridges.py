@@ -90,7 +90,7 @@ def test_a_population_is_as_wide_as_the_bounds_where_no_robot_tells(robots, nois
     xi = result.distribution.sample(4000)
     exact = spread_of_parts(2, 1.0, rng)
     # where few Gaussians predict the sum better, they are not as long
-    assert (0.4 * exact < xi.std(0)).all()
+    assert (0.3 * exact < xi.std(0)).all()
     assert (xi.std(0) < 1.2 * exact).all()
     # smoothing may widen, and so may the bend
     assert 0.5 * totals.std() < xi.sum(1).std() < 2 * totals.std()

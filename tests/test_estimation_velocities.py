@@ -14,7 +14,7 @@ from nfpde.dataset import Dataset, differentiate_episode
 from nfpde.dataset.velocities import COMPUTED, computed_velocities
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.estimator import TrajectoryEstimator
-from nfpde.estimation.trajectory.foretold import foretold
+from nfpde.estimation.trajectory.foretold import foretold, surely_better
 from nfpde.estimation.trajectory.noise import Scatter
 from nfpde.estimation.trajectory.problem import make_problem
 from nfpde.estimation.trajectory.scatter import sensors_alone, simulation_errs
@@ -148,7 +148,21 @@ def test_what_is_foretold_is_a_conditional_density():
         told += log_density(np.concatenate([earlier, now])) - (log_density(earlier) if t else 0.0)
     chains = Chains.of(np.array([False, True, True, True]))
     # a million degrees of freedom stand for a Gaussian, rounding a share of 1e-13 of the variances
-    assert foretold(scatter, chains, slopes, residuals, positions) == pytest.approx(told / n, abs=1e-4)
+    found = foretold(scatter, chains, slopes, residuals, positions)
+    assert found.sum() == pytest.approx(told, abs=1e-4)
+    assert np.isnan(
+        foretold(scatter, chains, slopes, np.where(np.arange(4)[:, None] == 2, np.nan, residuals), positions)[2]
+    )
+
+
+def test_chance_and_few_windows_are_not_believed():
+    """As good in the mean is not better, nor are 19 windows; a clear difference in 20 is, whatever one outlier says."""
+    rng = np.random.default_rng(5)
+    one = rng.normal(size=400)
+    assert not surely_better(one, rng.permutation(one))
+    assert not surely_better(one[:19] + 1.0, one[:19])
+    assert surely_better(one[:20] + 1.0, one[:20])
+    assert not surely_better(np.where(np.arange(400) == 0, one + 500.0, one - 0.1), one)
 
 
 def test_noise_of_the_sensors_alone_leaves_as_much():

@@ -65,7 +65,9 @@ def names_with_velocities(names: ColumnNames, quaternions: Sequence[int]) -> Col
 
 
 def computed_velocities(dataset: Dataset, axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
-    """Velocities that nobody measured: all of them, where the recordings say so, or those that are exact differences.
+    """Velocities that nobody measured: all of them, where the recordings say so, or those that are central differences.
+
+    Of one-sided differences this says nothing: simulations in single steps of Euler's method have them, too.
 
     Args:
         dataset: The recordings.
@@ -82,7 +84,7 @@ def computed_velocities(dataset: Dataset, axes: Sequence[tuple[int, int]]) -> ND
     inside[ends[:-1] - 1] = False
     qpos, qvel = (np.concatenate([getattr(e, name) for e in dataset]) for name in ("qpos", "qvel"))
     ways = difference_ways(qpos[:, columns[:, 0]], qvel[:, columns[:, 1]], inside, dataset.control_dt)
-    return columns[[bool(way) for way in ways], 1]
+    return columns[[way == "central" for way in ways], 1]
 
 
 def difference_ways(qpos: Array, qvel: Array, inside: NDArray[np.bool_], control_dt: float) -> list[str]:

@@ -77,14 +77,6 @@ def cautions(
             f"{', '.join(names)}: computed from positions, which tell all that such velocities do; these count next "
             "to nothing here."
         )
-    missing = simulation_share(problem, errors)
-    if missing:
-        worst = sorted(missing, key=lambda name: -missing[name])[:WORST]
-        found.append(
-            "Something is missing in the model that no parameter makes up for: what a control step of the simulation "
-            f"lacks is {listed([f'{missing[name]:.0%} of what is left in {name}' for name in worst])}. Parameters may "
-            "be off by more than their intervals say; nfpde diagnose looks for what is missing."
-        )
     wider = float(np.sqrt(widening(scatter.freedom)))
     if wider >= WIDER:
         found.append(
@@ -96,6 +88,13 @@ def cautions(
             "No parameter is told, and the recordings are explained no better than by the middle of the bounds. Either "
             "they say nothing of these parameters, or the search began too far from them: narrow the bounds, or raise "
             "starts."
+        )
+    elif wider < WIDER and (missing := simulation_share(problem, errors)):  # few windows tell neither
+        worst = sorted(missing, key=lambda name: -missing[name])[:WORST]
+        found.append(
+            "Something is missing in the model that no parameter makes up for: what a control step of the simulation "
+            f"lacks is {listed([f'{missing[name]:.0%} of what is left in {name}' for name in worst])}. Parameters may "
+            "be off by more than their intervals say; nfpde diagnose looks for what is missing."
         )
     return found
 

@@ -16,7 +16,7 @@ from nfpde.estimation.config import TrajectoryConfig
 from nfpde.estimation.trajectory.borrowing import anything_new, borrowed_from, standing_out
 from nfpde.estimation.trajectory.cautions import check_noise
 from nfpde.estimation.trajectory.chains import Chains
-from nfpde.estimation.trajectory.foretold import foretold
+from nfpde.estimation.trajectory.foretold import foretold, surely_better
 from nfpde.estimation.trajectory.freedom import Fitted
 from nfpde.estimation.trajectory.levenberg import Candidates, improve, linearise, restart, reweigh, start
 from nfpde.estimation.trajectory.modes import LocalPosterior, determined, distinct, local_posteriors, prior_information
@@ -157,8 +157,8 @@ class TrajectoryEstimator:
         """Give up a fresh begin that stays behind."""
         if self.rival is None:
             return
-        worth = self._worth(self.doubts - 1)
-        behind = self.rival["worth"] - worth
+        worth = float(np.nanmean(self._worth(self.doubts - 1)))
+        behind = float(np.nanmean(self.rival["worth"])) - worth
         if self.reached is not None and behind > 0:
             self.hopeless = worth - self.reached < CAUGHT_UP * behind
         self.reached = worth
@@ -198,13 +198,15 @@ class TrajectoryEstimator:
 
     def _choose(self) -> None:
         """Of what was found last and before, what is worth more."""
-        if self.rival is not None and self._worth(self.doubts - 1) <= self.rival["worth"]:
-            self._take_up(self.rival)
-            self.learned = self.rival["learned"]
+        if self.rival is not None:
+            last, before = self._worth(self.doubts - 1), self.rival["worth"]
+            if not (last > before if self.doubts == 1 else surely_better(last, before)):
+                self._take_up(self.rival)
+                self.learned = self.rival["learned"]
         self.rival = None
 
-    def _worth(self, doubt: int) -> float:
-        """What two answers are told apart by: likelihood where both believe the same sensors, else what is foretold."""
+    def _worth(self, doubt: int) -> Any:
+        """What two answers are told apart by: log likelihood where both believe the same sensors; else `foretold`."""
         best, c = self._best(), self._found()
         if doubt == 0:
             return -float(c.cost[best].sum() - 2 * np.linalg.slogdet(self.noise.whitening.own)[1].sum())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import wilcoxon
 
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.likeliest import innovations_of
@@ -18,9 +19,17 @@ from nfpde.estimation.trajectory.student import standard_constant
 
 Array = NDArray[np.float64]
 
+CHANCE = 1e-3
+"""Probability that velocities that tell something are not believed."""
 
-def foretold(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array, positions: NDArray[np.bool_]) -> float:
-    """Mean log density of a window's positions, given all that the windows before it show [nats].
+FEWEST = 20
+"""Windows without which nothing is said of the velocities."""
+
+
+def foretold(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array, positions: NDArray[np.bool_]) -> Array:
+    """Log density of every window's positions, given all that the windows before it show [nats], (N,).
+
+    NaN where a window diverged.
 
     Args:
         scatter: the noise.
@@ -39,4 +48,18 @@ def foretold(scatter: Scatter, chains: Chains, slopes: Array, residuals: Array, 
     m = np.einsum("ni,ni->n", rows, np.linalg.solve(spread, rows[..., None])[..., 0])
     degrees, count = scatter.degrees, len(shown)
     tails = standard_constant(degrees, count) - 0.5 * (degrees + count) * np.log1p(m / degrees)
-    return float((tails - 0.5 * np.linalg.slogdet(spread)[1]).mean())
+    found = np.full(len(residuals), np.nan)
+    found[sound] = tails - 0.5 * np.linalg.slogdet(spread)[1]
+    return found
+
+
+def surely_better(one: Array, other: Array) -> bool:
+    """Whether one model foretells windows (N,) better than another by more than chance does in a thousand recordings.
+
+    Window by window: innovations of a model that knows the noise are independent.
+    """
+    apart = one - other
+    apart = apart[np.isfinite(apart)]
+    if len(apart) < FEWEST or not apart.mean() > 0:
+        return False
+    return float(np.asarray(wilcoxon(apart, alternative="greater"))[1]) < CHANCE
