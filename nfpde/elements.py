@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -114,3 +116,8 @@ def _spread(
 ) -> NDArray[np.intp]:
     parts = [int(start[j]) + np.arange(widths[int(model.jnt_type[j])]) for j in joints]
     return np.concatenate([np.zeros(0), *parts]).astype(np.intp)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names, or other texts, in a sentence: a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]

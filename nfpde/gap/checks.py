@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.dataset.velocities import computed_velocities
-from nfpde.elements import element_names
+from nfpde.elements import element_names, listed
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
 from nfpde.gap.frames import check_frames
@@ -28,7 +28,7 @@ from nfpde.gap.mistakes import (
 )
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
-from nfpde.gap.readings import CURED, Readings, axes_of, check_columns, differenced, listed
+from nfpde.gap.readings import CURED, Readings, axes_of, check_columns, differenced
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from nfpde.dataset import Windows
-from nfpde.elements import actuator_ctrls, element_names, is_axis
-from nfpde.gap.readings import DEGREES, listed
+from nfpde.elements import actuator_ctrls, element_names, is_axis, listed
+from nfpde.gap.readings import DEGREES
 
 Mistake = tuple[str, Callable[[Windows], Windows]]
 """What may look wrong, in words, and what undoes it."""

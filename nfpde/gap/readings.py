@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.dataset.travel import changes_over_spans, explained
 from nfpde.dataset.velocities import difference_ways
-from nfpde.elements import element_names, is_axis
+from nfpde.elements import element_names, is_axis, listed
 from nfpde.errors import BadDataset
 from nfpde.gap.grain import step_of
 
@@ -125,11 +125,6 @@ def axes_of(model: mujoco.MjModel) -> tuple[Axis, ...]:
         elif kind == mujoco.mjtJoint.mjJNT_FREE:
             out += [Axis(f"{name}.{letter}", q + k, v + k, False) for k, letter in enumerate("xyz")]
     return tuple(out)
-
-
-def listed(names: list[str]) -> str:
-    """Names in a sentence: a, b and c."""
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def check_columns(readings: Readings) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from nfpde.elements import listed
 from nfpde.errors import BadDataset
 from nfpde.estimation.trajectory.freedom import FEWEST, widening
 from nfpde.estimation.trajectory.noise import Scatter
@@ -112,11 +113,6 @@ def simulation_share(problem: Problem, errors: Mapping[str, Mapping[str, float]]
         c: min(1.0, (e["simulation"] / e["after"]) ** 2) for c, e in errors.items() if e["after"] > 0 and large[c]
     }
     return {c: share for c, share in shares.items() if share > MOSTLY}
-
-
-def listed(texts: Sequence[str]) -> str:
-    """Texts in a sentence: a, b and c."""
-    return " and ".join([", ".join(texts[:-1]), texts[-1]]) if len(texts) > 1 else texts[0]
 
 
 def no_better(errors: Mapping[str, Mapping[str, float]], windows: int, parameters: int) -> bool:
