@@ -10,8 +10,9 @@ import pytest
 from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.brief import EVERY, MOST, brief, single_steps
+from nfpde.gap.found import Found
 from nfpde.gap.recordings import cut_recordings
-from nfpde.gap.search import Found, Search
+from nfpde.gap.search import Search
 from nfpde.gap.select import Selection
 from tests.test_gap_contacts import pushes
 

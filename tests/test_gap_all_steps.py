@@ -10,8 +10,9 @@ import pytest
 from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.brief import EVERY, brief
+from nfpde.gap.found import Earlier
 from nfpde.gap.recordings import cut_recordings
-from nfpde.gap.search import Earlier, Search
+from nfpde.gap.search import Search
 from tests.test_gap_again import ANYTHING, SOFT, Leaving
 from tests.test_gap_contacts import pushes
 

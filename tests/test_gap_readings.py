@@ -6,7 +6,6 @@ import pytest
 
 from nfpde.dataset import Dataset, Episode, resample_episode
 from nfpde.errors import BadDataset
-from nfpde.gap import diagnose_gap
 from nfpde.gap.checks import check_readings
 from tests.gap_systems import nominal, record
 
@@ -238,37 +237,6 @@ def test_short_episodes_are_sound(rows):
         for k in range(0, 240, rows)
     ]
     check_readings(nominal(), Dataset(cut))
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_speeds_that_nobody_measured_are_told(noise):
-    """Differences of noisy positions, whichever way, in double and in single precision; measured speeds are none."""
-    model, data = spins(noise=noise)
-    assert check_readings(model, data) == ""
-
-    def backward(qpos, qvel):
-        qvel[1:] = np.diff(qpos, axis=0) / 0.01
-
-    def forward(qpos, qvel):
-        qvel[:-1] = np.diff(qpos, axis=0) / 0.01
-
-    def central(qpos, qvel):
-        qvel[:] = np.gradient(qpos, 0.01, axis=0).astype(np.float32)
-
-    for change in (backward, forward, central):
-        assert check_readings(model, altered(data, change)) == f"wheel ({change.__name__})"
-
-
-def test_what_is_said_of_speeds_that_nobody_measured():
-    """The sentence stands in the summary of a robot with a gap."""
-    data = altered(record(lambda m: m.dof_damping.__setitem__(1, 0.4)), elbow_by_difference)
-    report = diagnose_gap(nominal(), data, windows=40)
-    assert report.verdict != "no_gap"
-    assert "Nobody measured the velocities of elbow (central)" in report.summary[-1]
-
-
-def elbow_by_difference(qpos, qvel):
-    qvel[:, 1] = np.gradient(qpos[:, 1], 0.01)
 
 
 def test_a_throw_keeps_its_speed():

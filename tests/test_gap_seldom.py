@@ -11,11 +11,12 @@ from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import ALARM, _verdict
 from nfpde.gap.fit import Fitter
+from nfpde.gap.found import Found
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.report import Level
 from nfpde.gap.screen import screen
-from nfpde.gap.search import Found, Search
+from nfpde.gap.search import Search
 from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
 from tests.gap_straight import ByGain, Change
 from tests.gap_systems import nominal, record

@@ -12,10 +12,11 @@ from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
 from nfpde.gap.answer import Outcome
+from nfpde.gap.found import Found
 from nfpde.gap.levels import NEAR_FLOOR, Yardstick
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.rounds import Rounds
-from nfpde.gap.search import Found, Search
+from nfpde.gap.search import Search
 from nfpde.gap.select import Selection
 from nfpde.gap.trial import Court, Trial
 from tests.gap_systems import nominal, record

@@ -128,6 +128,7 @@ class Dataset:
         history: int = 0,
         past: int = 0,
         at: NDArray[np.intp] | None = None,
+        first: int = 0,
     ) -> Windows:
         """Windows of `horizon` control steps; episodes too short for one are skipped and listed.
 
@@ -137,6 +138,7 @@ class Dataset:
             history: Number K of commands to give from before each start.
             past: Number P of states to give from before each start.
             at: Indices of the windows wanted, among all that fit; None: all. What comes before them takes memory.
+            first: Row at which the first window of every episode starts.
 
         Returns:
             The windows, ordered by episode, then by row; `Windows.skipped_episodes` lists what was skipped.
@@ -146,7 +148,14 @@ class Dataset:
         """
         with naming(self.source):
             return cut_windows(
-                self.episodes, self.control_dt, horizon=horizon, stride=stride, history=history, past=past, at=at
+                self.episodes,
+                self.control_dt,
+                horizon=horizon,
+                stride=stride,
+                history=history,
+                past=past,
+                at=at,
+                first=first,
             )
 
     def split(self, held_out: float | Sequence[str], *, seed: int = 0) -> tuple["Dataset", "Dataset"]:

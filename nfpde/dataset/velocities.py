@@ -64,6 +64,11 @@ def names_with_velocities(names: ColumnNames, quaternions: Sequence[int]) -> Col
     return replace(names, qvel=kept)
 
 
+def says_computed(dataset: Dataset) -> bool:
+    """Whether recordings say that `differentiate_episode` made their velocities."""
+    return dataset.metadata.conventions.get("velocities") == COMPUTED["velocities"]
+
+
 def computed_velocities(dataset: Dataset, axes: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
     """Velocities that nobody measured: all of them, where the recordings say so, or those that are central differences.
 
@@ -76,7 +81,7 @@ def computed_velocities(dataset: Dataset, axes: Sequence[tuple[int, int]]) -> ND
     Returns:
         Columns in qvel.
     """
-    if dataset.metadata.conventions.get("velocities") == COMPUTED["velocities"]:
+    if says_computed(dataset):
         return np.arange(dataset.nv)
     columns = np.array(axes, dtype=np.intp).reshape(-1, 2)
     ends = np.cumsum([len(episode) for episode in dataset])

@@ -170,6 +170,7 @@ def cut_windows(
     history: int,
     past: int = 0,
     at: NDArray[np.intp] | None = None,
+    first: int = 0,
 ) -> Windows:
     """Cut every window that fits, episode by episode, or some of them.
 
@@ -181,6 +182,7 @@ def cut_windows(
         history: Commands K to give from before the start.
         past: States P to give from before the start.
         at: Indices of the windows wanted, among all that fit; None: all.
+        first: Row at which the first window of every episode starts.
 
     Returns:
         The windows, ordered by episode, then by row.
@@ -194,29 +196,30 @@ def cut_windows(
     check_count(stride, "stride", 1)
     check_count(history, "history", 0)
     check_count(past, "past", 0)
+    check_count(first, "first", 0)
 
     lengths = np.array([len(e) for e in episodes])
-    counts = np.maximum((lengths - 1 - horizon) // stride + 1, 0)
+    counts = np.maximum((lengths - 1 - first - horizon) // stride + 1, 0)
     if not counts.any():
         raise BadDataset(
-            f"no episode is long enough for a window of horizon {horizon}: that takes {horizon + 1} rows, and the "
-            f"longest episode has {lengths.max()}. Use a horizon of at most {lengths.max() - 1}."
+            f"no episode is long enough for a window of horizon {horizon}: that takes {horizon + 1 + first} rows, and "
+            f"the longest episode has {lengths.max()}. Use a horizon of at most {lengths.max() - 1 - first}."
         )
     episode = np.repeat(np.arange(len(episodes)), counts)
-    row = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * stride
+    row = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) * stride + first
     if at is not None:
         episode, row = episode[at], row[at]
-    first = (np.cumsum(lengths) - lengths)[episode, None]  # where the window's episode begins in the joined rows
+    begin = (np.cumsum(lengths) - lengths)[episode, None]  # where the window's episode begins in the joined rows
 
     state = np.concatenate([np.hstack([e.qpos, e.qvel]) for e in episodes])
     ctrl = np.concatenate([e.ctrl for e in episodes])
     before = np.maximum(row[:, None] + np.arange(-history, 0), 0)
     earlier = row[:, None] + np.arange(-past, 0)
-    states_before = np.where(earlier[..., None] >= 0, state[first + np.maximum(earlier, 0)], np.nan)
+    states_before = np.where(earlier[..., None] >= 0, state[begin + np.maximum(earlier, 0)], np.nan)
     return Windows(
-        state=_read_only(state[first + row[:, None] + np.arange(horizon + 1)]),
-        ctrl=_read_only(ctrl[first + row[:, None] + np.arange(horizon)]),
-        history=_read_only(ctrl[first + before]),
+        state=_read_only(state[begin + row[:, None] + np.arange(horizon + 1)]),
+        ctrl=_read_only(ctrl[begin + row[:, None] + np.arange(horizon)]),
+        history=_read_only(ctrl[begin + before]),
         control_dt=control_dt,
         nq=episodes[0].nq,
         nv=episodes[0].nv,

@@ -101,7 +101,7 @@ class Outcome:
     def level(self, horizon: int | None) -> Level:
         """The ladder at one horizon (an index), or over all."""
         count = len(self.recordings.horizons)
-        columns = slice(None) if horizon is None else [horizon, count + horizon]
+        columns = slice(None) if horizon is None else slice(horizon, None, count)
         stages = [self.yardstick.squares(r) for r in (self.stage.nominal, self.base.held, self.final.held)]
         gaps = [float(squares[..., columns].mean()) for squares in (*stages, self.yardstick.floor)]
         unit = max(gaps[0], 1e-300)

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from nfpde.dataset import Windows
 from nfpde.gap.directions import Directions
-from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.fit import Fit
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.noise import Scatter, floor_of
 from nfpde.gap.quiet import quietened
@@ -136,7 +136,7 @@ def judging(court: Court, fit: Fit, halves: Sequence[Windows], sigma: Array, see
         sigma: Noise of the sensors (2 nv,).
         seed: Of its draws.
     """
-    fitter, held = (Fitter(half, court.fitter.horizons, dofs=court.fitter.dofs) for half in halves)
+    fitter, held = (replace(court.fitter, windows=half, noise=None) for half in halves)
     left = [half.residuals_at(fit.replay, fit.xi[None])[0] for half in (fitter, held)]
     floor = floor_of(left[0], fitter.moved(fit.replay))
     plain = replace(court, fitter=fitter, held=held, floor=floor)

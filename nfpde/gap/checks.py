@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from nfpde.dataset import Dataset, Windows
-from nfpde.dataset.velocities import computed_velocities
-from nfpde.elements import element_names, listed
+from nfpde.elements import element_names
 from nfpde.errors import BadDataset, SimulationDiverged
 from nfpde.gap.foresight import check_commands
 from nfpde.gap.frames import check_frames
@@ -28,7 +27,7 @@ from nfpde.gap.mistakes import (
 )
 from nfpde.gap.outliers import check_spikes, check_wraps
 from nfpde.gap.overlap import always_touching, bodies_of, without_contacts
-from nfpde.gap.readings import CURED, Readings, axes_of, check_columns, differenced
+from nfpde.gap.readings import CURED, Readings, check_columns
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 
@@ -54,15 +53,12 @@ _LOOK = 1.0
 """How long the model may take to move a joint whose readings never change [s]."""
 
 
-def check_readings(model: mujoco.MjModel, dataset: Dataset) -> str:
+def check_readings(model: mujoco.MjModel, dataset: Dataset) -> None:
     """Refuse recordings that contradict themselves, whatever the model's numbers are.
 
     Args:
         model: Says which columns belong to which joint.
         dataset: Recordings in the model's order.
-
-    Returns:
-        The joints whose velocities nobody measured, in words; see `differenced`.
 
     Raises:
         BadDataset: Quaternions and velocities in another convention, angles that were wrapped, speeds that are not the
@@ -74,11 +70,6 @@ def check_readings(model: mujoco.MjModel, dataset: Dataset) -> str:
         check_wraps(readings)
         check_columns(readings)
         check_spikes(readings)
-    if len(computed_velocities(dataset, ())):
-        return listed([f"{axis.name} (central)" for axis in axes_of(model)] or ["all bodies"])
-    # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
-    single = dataset.control_dt < 1.5 * model.opt.timestep
-    return differenced(readings) if readings.axes and not single else ""
 
 
 def check_fit(replay: Replay, dataset: Dataset, recordings: Recordings, xi: Array) -> None:

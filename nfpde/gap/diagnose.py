@@ -16,6 +16,7 @@ from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
+from nfpde.gap.differences import Differences
 from nfpde.gap.halves import FEWEST
 from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
@@ -76,7 +77,8 @@ def diagnose_gap(
     recall = Recall()
     start = Replay(mjmodel, space, [], nthread, device, recall)
     dataset = start.sim.prepare(dataset)
-    computed = check_readings(mjmodel, dataset)
+    check_readings(mjmodel, dataset)
+    computed = Differences.of(mjmodel, dataset)
     scales = DataScales.of(mjmodel, dataset)
     # effects of the space itself are fitted anyway, such as friction at a joint that has some
     candidates = candidates_beside(mjmodel, scales, start.sim.effects)
@@ -98,7 +100,7 @@ def diagnose_gap(
         )
 
     windows = windows or windows_for(mjmodel.nv)
-    search = Search(start, dataset, candidates, guesses, windows, seed, select, report)
+    search = Search(start, dataset, candidates, guesses, windows, seed, select, report, computed.weights)
     error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches)
     dataset = without_error(mjmodel, dataset, error)
     search = replace(search, dataset=dataset)
@@ -112,7 +114,18 @@ def diagnose_gap(
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
     outcome = Outcome(
-        dataset, shown, near, final, tuple(accepted), selection, sigma, scales.force, seed, computed, error, found.by
+        dataset,
+        shown,
+        near,
+        final,
+        tuple(accepted),
+        selection,
+        sigma,
+        scales.force,
+        seed,
+        computed.said,
+        error,
+        found.by,
     )
     return answer(outcome, time.monotonic() - begin)
 

@@ -6,7 +6,7 @@ always in the same proportion. Counted one by one every joint is loud; across th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,11 @@ Array = NDArray[np.float64]
 
 POWERS = (0.25, 0.5, 0.75, 1.0)
 """Powers of the covariances tried: noise that is known badly is trusted in part."""
+
+
+LOOSE = 10.0
+"""Times as large as it is that the error of a velocity at a start counts, where that is no noise of a sensor: a
+hundredth of its square is left, as little as `FLOOR_ERROR` leaves alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,19 +52,42 @@ class Directions:
         return float(np.linalg.slogdet(self.turn)[1].sum())
 
 
-def noise_covariance(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[int], sigma: Array) -> Array:
+def noise_covariance(
+    replay: Replay,
+    xi: Array,
+    windows: Windows,
+    horizons: Sequence[int],
+    sigma: Array,
+    seen: Callable[[Array], Array] = lambda residuals: residuals,
+    loose: NDArray[np.bool_] | None = None,
+) -> Array:
     """Covariance of the residuals of every window by noise of the sensors (2 nv,) at its start and ends, (N, m, m).
 
     Each noise is followed by one standard deviation to either side (divided differences: Norgaard, Poulsen, Ravn,
     Automatica 2000).
 
+    Args:
+        replay: The model.
+        xi: Its free parameters (D,).
+        windows: Of recordings (N).
+        horizons: Control steps after which they are compared.
+        sigma: Noise of the sensors.
+        seen: Takes those residuals that are looked at out of all (..., nv, C).
+        loose: Which channels nobody measured (2 nv,): how they err at a start goes with the motion, and what goes in
+            proportion to that counts `LOOSE` times.
+
     Returns:
         Over m = nv C channels, those of a degree of freedom next to each other.
     """
-    change = replay.by_dof(displaced(replay, xi, windows, horizons, sigma))
+    change = seen(replay.by_dof(displaced(replay, xi, windows, horizons, sigma)))
     columns = change.reshape(-1, len(windows), change.shape[-2] * change.shape[-1])
-    ends = replay.by_dof(np.tile(sigma**2, (len(horizons), 1))).ravel()
-    return 0.5 * np.einsum("kni,knj->nij", columns, columns, optimize=True) + np.diag(ends)
+    ends = seen(replay.by_dof(np.tile(sigma**2, (len(horizons), 1)))).ravel()
+    covariance = 0.5 * np.einsum("kni,knj->nij", columns, columns, optimize=True) + np.diag(ends)
+    if loose is not None:
+        up, down = columns.reshape(2, len(sigma), *columns.shape[1:])[:, np.flatnonzero(loose)]
+        slope = np.sqrt(LOOSE**2 - 1.0) * 0.5 * (up - down)
+        covariance += np.einsum("kni,knj->nij", slope, slope, optimize=True)
+    return covariance
 
 
 def likeliest_directions(covariance: Array, residuals: Array, floor: Array, plain: Loudness) -> Directions | Loudness:

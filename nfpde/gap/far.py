@@ -41,7 +41,8 @@ class Far:
 
     def _measure(self, current: Trial, sigma: Array) -> _Measure:
         windows = joined(self.recordings.fit, self.recordings.held)
-        plain, replay = Fitter(windows, self.recordings.horizons), current.fit.replay
+        plain = Fitter(windows, self.recordings.horizons, channels=self.recordings.channels)
+        replay = current.fit.replay
         left, noise = plain.residuals_at(replay, current.fit.xi[None])[0], noise_of(current.fit, sigma, plain, SEED)
         loud = loudness(noise, left, floor_of(left, plain.moved(replay)))
         left = loud.quieten(left)

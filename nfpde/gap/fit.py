@@ -100,12 +100,14 @@ class Fitter:
     horizons: where it is compared
     noise: what residuals are quietened by, of these windows; None: all windows are alike
     dofs: degrees of freedom that are looked at; None: all. Only these are in residuals then
+    channels: of each of them the first so many are looked at; None: all
     """
 
     windows: Windows
     horizons: Sequence[int]
     noise: Loudness | Directions | None = None
     dofs: NDArray[np.intp] | None = None
+    channels: int | None = None
 
     def some(self, index: NDArray[np.intp]) -> Fitter:
         """The same on some of the windows."""
@@ -121,7 +123,8 @@ class Fitter:
 
     def seen(self, residuals: Array) -> Array:
         """Of residuals of all degrees of freedom (..., nv, C) those that are looked at."""
-        return residuals if self.dofs is None else residuals[..., self.dofs, :]
+        residuals = residuals if self.dofs is None else residuals[..., self.dofs, :]
+        return residuals if self.channels is None else residuals[..., : self.channels]
 
     def moved(self, replay: Replay) -> Array:
         """By how much the channels change over the horizons, as residuals (N, nv, C)."""

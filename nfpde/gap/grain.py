@@ -1,4 +1,4 @@
-"""The steps of encoders, read off their readings."""
+"""The steps of encoders, read off their readings, and what no sensor read."""
 
 from __future__ import annotations
 
@@ -35,18 +35,22 @@ class Encoders:
     steps: what readings are multiples of, give or take a constant; 0 where of nothing (nq+nv,)
     rest: the reading that most rows have; NaN where there is none (nq+nv,)
     flips: share of the rows in which a reading at rest shows the next step up, and down, for one row (2, nq+nv)
+    computed: what velocities that nobody measured take of the positions around, see `Differences.weights` (nv, 3);
+        None where all were measured
     """
 
     steps: Array
     rest: Array
     flips: Array
+    computed: Array | None = None
 
     @classmethod
-    def of(cls, episodes: Sequence[Array]) -> Encoders:
+    def of(cls, episodes: Sequence[Array], computed: Array | None = None) -> Encoders:
         """Of all that was recorded, as a robot that rests shows two readings of an encoder now and then.
 
         Args:
             episodes: States of each, (rows, nq+nv).
+            computed: What velocities take of the positions around (nv, 3); None, or zeros, where they were measured.
         """
         read = np.concatenate(episodes)
         steps = np.array([_step([e[:, column] for e in episodes]) for column in range(read.shape[1])])
@@ -55,7 +59,14 @@ class Encoders:
         for column in np.flatnonzero((steps > 0) & np.isfinite(rest)):
             parts = [np.round((e[:, column] - rest[column]) / steps[column]) for e in episodes]
             flips[:, column] = _flips(parts)
-        return cls(steps, rest, flips)
+        return cls(steps, rest, flips, computed if computed is not None and computed.any() else None)
+
+    @property
+    def loose(self) -> NDArray[np.bool_] | None:
+        """Channels that nobody measured (2 nv,); None where there are none."""
+        if self.computed is None:
+            return None
+        return np.concatenate([np.zeros(len(self.computed), bool), self.computed.any(1)])
 
     def grain(self, model: mujoco.MjModel) -> Array:
         """Step of the readings of hinges, slides and velocities (2 nv,); zero where they are not multiples of one."""

@@ -16,6 +16,7 @@ from nfpde.gap.grain import Encoders
 from nfpde.gap.recordings import WINDOW_TIME
 from nfpde.gap.replay import Replay
 from nfpde.sim.simulator import steps_back
+from nfpde.sim.states import StateSpace
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,8 @@ def measured(
     """Windows as the sensors would have recorded them, in all states, those of their past too.
 
     What encoders round is rounded, not blurred: at rest it errs by the same in every row, but for those in which the
-    recordings show the next step.
+    recordings show the next step. Velocities that nobody measured are computed from what positions read, as far as the
+    rows around are there.
 
     Args:
         replay: The model.
@@ -103,5 +105,24 @@ def measured(
             chance, rests = rng.random(read.shape), np.abs(read - encoders.rest[column]) < 0.5 * step
             read = read + step * (rests & (chance < up)) - step * (rests & (chance >= 1.0 - down))
         states[..., column] = read
+    if encoders.computed is not None:
+        _compute_velocities(states, replay.sim.states, encoders.computed / truth.control_dt)
     rows = truth.past.shape[1]
     return replace(truth, past=states[:, :rows], state=states[:, rows:])
+
+
+def _compute_velocities(states: Array, space: StateSpace, weights: Array) -> None:
+    """Velocities of all rows but the first and last of windows (N, R, nq+nv), from their positions.
+
+    Args:
+        states: What is changed.
+        space: Of them.
+        weights: What velocities take of the positions in the row before, the same and the next (nv, 3) [1/s]; zeros
+            leave them as they are.
+    """
+    nv = len(weights)
+    # weights sum to zero: a weighted sum of three positions is one of the two changes between them
+    steps = space.difference(states[:, 1:], states[:, :-1])[..., :nv]
+    velocity = steps[:, 1:] * weights[:, 2] - steps[:, :-1] * weights[:, 0]
+    own = states[:, 1:-1, states.shape[2] - nv :]
+    own[:] = np.where(weights.any(1) & np.isfinite(velocity), velocity, own)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nfpde.gap.directions import likeliest_directions, noise_covariance
 from nfpde.gap.fit import Fit
 from nfpde.gap.loud import loudness
-from nfpde.gap.noise import floor_of, learn_scatter
+from nfpde.gap.noise import floor_of, learn_scatter, precision_of
 from nfpde.gap.trial import Court, noise_of
 
 Array = NDArray[np.float64]
@@ -37,8 +37,13 @@ def quietened(
     noise = np.concatenate([noise_of(known, sigma, half, seed) for half in halves], axis=1)
     loud = loudness(noise, left, court.floor)
     if whole:
-        parts = [noise_covariance(known.replay, known.xi, half.windows, half.horizons, sigma) for half in halves]
-        loud = likeliest_directions(np.concatenate(parts), left, court.floor, loud)
+        replay, loose = known.replay, court.encoders.loose
+        parts = [
+            noise_covariance(replay, known.xi, half.windows, half.horizons, sigma, half.seen, loose) for half in halves
+        ]
+        # starts whose velocity nobody measured make most of the residuals: a share of these is no floor
+        floor = court.floor if court.fitter.channels is None else precision_of(court.fitter.moved(base.replay))
+        loud = likeliest_directions(np.concatenate(parts), left, floor, loud)
     count = len(court.fitter.windows)
     fitter = replace(court.fitter, noise=loud.some(slice(None, count)))
     held = replace(court.held, noise=loud.some(slice(count, None)))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset
 from nfpde.dataset.travel import changes_over_spans, explained
-from nfpde.dataset.velocities import difference_ways
 from nfpde.elements import element_names, is_axis, listed
 from nfpde.errors import BadDataset
 from nfpde.gap.grain import step_of
@@ -103,16 +102,6 @@ class Readings:
         """Axes whose position and speed are the same in all rows of every episode."""
         changes = (np.abs(np.diff(self.qpos, axis=0)) + np.abs(np.diff(self.qvel, axis=0)))[self.inside]
         return [self.axes[k] for k in np.flatnonzero(changes.max(0, initial=0.0) == 0)]
-
-
-def differenced(readings: Readings) -> str:
-    """In words, the axes whose speeds are differences of their positions, to the last digits: nobody measured them.
-
-    "" where there are none.
-    """
-    ways = difference_ways(readings.qpos, readings.qvel, readings.inside, readings.control_dt)
-    found = [f"{axis.name} ({way})" for axis, way in zip(readings.axes, ways, strict=True) if way]
-    return listed(found) if found else ""
 
 
 def axes_of(model: mujoco.MjModel) -> tuple[Axis, ...]:

@@ -65,6 +65,14 @@ class Recordings:
     longest: Windows
     encoders: Encoders
 
+    @property
+    def channels(self) -> int | None:
+        """Channels of every degree of freedom that are compared, the first so many; None: all.
+
+        Positions alone, where they are all that was measured.
+        """
+        return None if self.encoders.computed is None else len(self.horizons)
+
 
 def joined(first: Windows, second: Windows) -> Windows:
     """The windows of both halves, one after the other."""
@@ -85,6 +93,7 @@ def cut_recordings(
     lead: int = 0,
     held: HeldOut | None = None,
     past: int | None = None,
+    computed: Array | None = None,
 ) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
@@ -97,19 +106,22 @@ def cut_recordings(
             where enough others do.
         held: What to hold out; None: as the seed decides.
         past: States needed from before a window's start; None: as many as commands.
+        computed: What velocities that nobody measured take of the positions, see `Differences.weights`.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
     """
     lengths = np.array([len(e) for e in dataset])
-    steps = _window_steps(lengths, dataset.control_dt)
+    # at an episode's end a velocity is a difference to one side: it is that of half a step later
+    first = 0 if computed is None or not computed.any() else 1
+    steps = _window_steps(lengths - first, dataset.control_dt)
     held = by_seed(lengths, steps, seed) if held is None else held
     past = history if past is None else past
     stride = steps + 1  # a row apart: the noise of one that ends a window and starts the next would be in both
-    chosen = _halves(dataset.windows(steps, stride=stride), lead, held)
+    chosen = _halves(dataset.windows(steps, stride=stride, first=first), lead, held)
     if min(map(len, chosen)) < FEWEST:  # short recordings cannot spare the rows
         stride = steps
-        chosen = _halves(dataset.windows(steps), lead, held)
+        chosen = _halves(dataset.windows(steps, first=first), lead, held)
     for half, name in zip(chosen, ("fit", "hold out"), strict=True):
         if len(half) < FEWEST:
             raise BadDataset(
@@ -117,16 +129,17 @@ def cut_recordings(
                 f"{name}, at least {FEWEST} are needed; record about {2 * FEWEST * LEAST_STEPS} control steps or more, "
                 f"best as four or more episodes"
             )
-    first, second = (
-        dataset.windows(steps, stride=stride, history=history, past=past, at=_spread(half, windows)) for half in chosen
+    fit, late = (
+        dataset.windows(steps, stride=stride, history=history, past=past, at=_spread(half, windows), first=first)
+        for half in chosen
     )
-    singles = dataset.windows(1)
-    inside = np.flatnonzero(np.isin(singles.episode, second.episode) & held.late(singles))
+    singles = dataset.windows(1, first=first)
+    inside = np.flatnonzero(np.isin(singles.episode, late.episode) & held.late(singles))
     width = history * dataset[0].ctrl.shape[1] + past * (dataset[0].qpos.shape[1] + dataset[0].qvel.shape[1])
     most = int(np.clip(_MEMORY // max(width, 1), 2 * windows, 20 * windows))
-    rows = dataset.windows(1, history=history, past=past, at=inside[:most])
-    encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset])
-    return Recordings(first, second, _horizons(steps), blocks_of(second), held.names(dataset), rows, second, encoders)
+    rows = dataset.windows(1, history=history, past=past, at=inside[:most], first=first)
+    encoders = Encoders.of([np.hstack([e.qpos, e.qvel]) for e in dataset], computed)
+    return Recordings(fit, late, _horizons(steps), blocks_of(late), held.names(dataset), rows, late, encoders)
 
 
 def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Index, Index]:

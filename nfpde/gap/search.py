@@ -15,6 +15,7 @@ from nfpde.gap.beginnings import best_beginning
 from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
+from nfpde.gap.found import Earlier, Found, remembers
 from nfpde.gap.halves import HeldOut, alike_halves
 from nfpde.gap.recordings import LEAD, WINDOW_TIME, Recordings, cut_recordings, joined
 from nfpde.gap.replay import Replay
@@ -35,58 +36,6 @@ again: beside contacts whatever a model lacks looks like noise."""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a search found.
-
-    recordings: in the longest windows
-    near: the stage of the last selection
-    selection: that selection, with the simulated steps of all
-    final: the parameters and what was accepted
-    accepted: effects in the order of their acceptance
-    early: whether windows start in the first rows of episodes, too
-    by: the stage of a part of the joints, where these alone told what was found
-    halves: what was held out; None where the seed decided
-    every: whether all short windows were looked at
-    """
-
-    recordings: Recordings
-    near: Stage
-    selection: Selection
-    final: Trial
-    accepted: list[Accepted]
-    early: bool
-    by: Stage | None = None
-    halves: HeldOut | None = None
-    every: bool = False
-
-    @property
-    def remembers(self) -> bool:
-        """Whether an accepted effect acts by commands from before a window."""
-        return _remembers(self.accepted)
-
-
-@dataclass(frozen=True, eq=False)
-class Earlier:
-    """What a search over all short windows takes from the one over some of them.
-
-    halves: what was held out: what was asked of one pair of halves must not be asked of another until chance says yes
-    early: whether windows start in the first rows of episodes, too
-    misjudged: by how much the noise of the sensors is, see `Stage`
-    xi: the fitted parameters, which were looked for all over their bounds (D,)
-    """
-
-    halves: HeldOut | None
-    early: bool
-    misjudged: Array | float
-    xi: Array
-
-    @classmethod
-    def of(cls, found: Found) -> Earlier:
-        """Of a search that found nothing."""
-        return cls(found.halves, found.early, found.near.misjudged, found.near.base.fit.xi)
-
-
-@dataclass(frozen=True, eq=False)
 class Search:
     """Looks for effects.
 
@@ -98,6 +47,7 @@ class Search:
     seed: decides which episodes are held out, and all draws
     select: the selection of a stage
     report: called with what is being done
+    computed: what velocities that nobody measured take of the positions, see `Differences.weights`
     most: single control steps of each half, at most, where contacts are
     before: what an earlier search leaves to this one
     """
@@ -110,6 +60,7 @@ class Search:
     seed: int
     select: Callable[[Stage], Selection]
     report: Callable[[str], None]
+    computed: Array | None = None
     most: int = MOST
     before: Earlier | None = None
 
@@ -127,7 +78,7 @@ class Search:
         """
         history, past, rows = self._history()
         lead = rows if lead is None else lead
-        return cut_recordings(self.dataset, history, self.seed, self.windows, lead, held, past)
+        return cut_recordings(self.dataset, history, self.seed, self.windows, lead, held, past, self.computed)
 
     def run(self) -> tuple[Stage, Found]:
         """What was found, and the stage on which its gap is measured.
@@ -199,26 +150,35 @@ class Search:
             base, court = moved_over(first.base, court, lengths[0])
             first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=first.misjudged)
             selection = replace(_moved(selection, first), below=True)
+        # what a start's velocity does hangs on what is accepted: where nobody measured it, it is asked anew each time
+        unmeasured = recordings.channels is not None
+        if unmeasured:
+            selection = replace(selection, most=1)
         near, selection, final, accepted = self._select(first, selection)
         if selection.below:  # where these ask for nothing, what adds up shows most in the longest
             lengths = lengths[:1] if accepted else [lengths[0], lengths[-1]]
-        if lead is None or not _remembers(accepted):  # else all is searched again
+        if not unmeasured and not (lead is not None and remembers(accepted)):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
         while known < len(accepted) < MOST_EFFECTS:
             known = len(accepted)
-            if not self._may_hide(near, selection, final):
+            if not unmeasured and not self._may_hide(near, selection, final):
                 break
             self.report("noise of the sensors")
             if near is not first:  # the parameters had been stuck
                 base, court = moved_over(near.base, court, lengths[0])
             share = near.misjudged
             first = in_noise(base, court, lengths[0], self.seed, final.fit, whole=whole, share=share)
-            if not self._hid(first, selection, final):
+            if not unmeasured and not self._hid(first, selection, final):
                 break
+            selection = replace(selection, most=known + 1 if unmeasured else MOST_EFFECTS)
             near, selection, final, accepted = self._select(first, selection, (final, accepted), further=True)
             if not whole:  # else what was tried is shown on the longest windows
                 selection.ranking[:] = [near.shown(t, refitted=False) for t in selection.ranking]
+        if unmeasured:
+            selection = replace(selection, most=MOST_EFFECTS)
+            if not (lead is not None and remembers(accepted)):
+                final, accepted = best_beginning(selection, near.base, final, accepted)
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
@@ -384,10 +344,6 @@ class Search:
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings, self.most) if self.touches else []) or [recordings]
-
-
-def _remembers(accepted: Sequence[Accepted]) -> bool:
-    return any(a.effect.memory_time() > 0 for a in accepted)
 
 
 def _moved(selection: Selection, near: Stage) -> Selection:

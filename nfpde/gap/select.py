@@ -28,10 +28,12 @@ class Selection(Acceptance):
     """Adds effects to a base fit as long as recordings that no fit saw ask for them.
 
     ranking: candidates of the first round
+    most: effects accepted at most
     asked: whether candidates were last refitted beside what is accepted, and none was worth it
     """
 
     ranking: list[Trial] = field(default_factory=list)
+    most: int = MOST_EFFECTS
     asked: bool = False
 
     def run(
@@ -57,7 +59,7 @@ class Selection(Acceptance):
                 current, accepted = self._carried(base, *earlier, first_gap)
             carried = list(accepted)
         for _ in range(2 * MOST_EFFECTS):  # a second look may take effects away again
-            if len(accepted) == MOST_EFFECTS or self._nothing_left(current, accepted):
+            if len(accepted) >= self.most or self._nothing_left(current, accepted):
                 break
             known = self.asked and earlier is not None and accepted and not further and not self.last
             if known and self.gap_of(current) <= (1 - CLOSED) * first_gap:

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from nfpde.dataset import Windows
 from nfpde.gap.grain import Encoders
+from nfpde.gap.levels import calm
 from nfpde.gap.replay import Replay, displaced
 
 Array = NDArray[np.float64]
@@ -36,7 +37,8 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows, encoders: Encoders) -
     simulated at some rows: near one in free motion, near zero or far beyond one where contacts push. The noise is
     what makes all channels of these differences likeliest together, and at most what the third differences of the
     recordings themselves show; yet at least that of the grain of an encoder: at rest it errs by the same in every row,
-    and no difference shows it.
+    and no difference shows it. A velocity that was computed from positions has their noise, and errs by what it blurs:
+    by no more than would move the model in a step to where it was not.
 
     Args:
         replay: The model that predicts.
@@ -45,14 +47,29 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows, encoders: Encoders) -
         encoders: Of the recordings.
     """
     grain = encoders.grain(replay.sim.model) / np.sqrt(12.0)
-    return np.maximum(_varying_noise(replay, xi, rows), grain)
+    r = replay.sim.states.difference(replay.predict(xi[None], rows)[0], rows.target)[:, 0]
+    computed = None if encoders.computed is None else encoders.computed / rows.control_dt
+    found = np.maximum(_varying_noise(replay, xi, rows, r, computed), grain)
+    if computed is not None:
+        position, velocity = found[: replay.nv], found[replay.nv :]
+        sound = np.isfinite(r).all(1)
+        blurred = np.sqrt(calm(r[sound, : replay.nv] ** 2).mean(0)) / rows.control_dt
+        noisy = np.hypot(velocity, position * np.sqrt((computed**2).sum(1)))
+        velocity[:] = np.where(computed.any(1), np.maximum(noisy, blurred), velocity)
+    return found
 
 
-def _varying_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
-    """Noise that differs from row to row (2 nv,)."""
+def _varying_noise(replay: Replay, xi: Array, rows: Windows, r: Array, computed: Array | None) -> Array:
+    """Noise that differs from row to row (2 nv,), of residuals (N, 2 nv); of velocities without that of positions.
+
+    Args:
+        replay: The model that predicts.
+        xi: Its free parameters (D,).
+        rows: Windows of one control step.
+        r: What they leave.
+        computed: What velocities that nobody measured take of the positions around (nv, 3) [1/s].
+    """
     states = replay.sim.states
-    there = replay.predict(xi[None], rows)[0]
-    r = states.difference(there, rows.target)[:, 0]
     follows = (np.diff(rows.row) == 1) & (np.diff(rows.episode) == 0)
     middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
     if len(middle) < 8:
@@ -60,14 +77,16 @@ def _varying_noise(replay: Replay, xi: Array, rows: Windows) -> Array:
     high = r[middle] - 0.5 * (r[middle - 1] + r[middle + 1])
     sound = np.isfinite(high).all(1)
     middle, high = middle[sound], high[sound]
-    calm = _spread(high, rows.episode[middle]) / np.sqrt(5.0)
+    each = _spread(high, rows.episode[middle]) / np.sqrt(5.0)
     count = int(np.clip(_VALUES // r.shape[1], *_ROWS))
     some = np.unique(np.linspace(0, len(middle) - 1, count).round().astype(int)) if len(middle) else np.zeros(0, int)
     if not len(some):
-        return calm
-    found = calm
+        return each
+    found = each
     for _ in range(_TURNS):
-        found = _likeliest(high[some], *_spreading(replay, xi, rows, middle[some], found), found)
+        slopes, bent = _spreading(replay, xi, rows, middle[some], found)
+        slopes = slopes if computed is None else _with_velocities(slopes, computed)
+        found = _likeliest(high[some], slopes, bent, found)
     moved = states.difference(rows.target, rows.state[:, :1])[:, 0]
     third = moved[middle + 1] - 2 * moved[middle] + moved[middle - 1]
     return np.minimum(found, _spread(third, rows.episode[middle]) / np.sqrt(20.0))
@@ -97,6 +116,18 @@ def _spreading(replay: Replay, xi: Array, rows: Windows, middle: NDArray[np.intp
     middling = 0.5 * (up + down)
     bent = np.einsum("ktni,ktnj,t->nij", middling, middling, np.array([0.25, 1.0, 0.25]), optimize=True)
     return slopes, bent
+
+
+def _with_velocities(slopes: Array, computed: Array) -> Array:
+    """Slopes (4, n, 2 nv, 2 nv), see `_spreading`, where positions' noise is in velocities, too: (6, n, 2 nv, 2 nv).
+
+    It reaches the velocities of the rows before and after: six rows in succession have noise that counts.
+    """
+    nv = len(computed)
+    wide = np.pad(slopes, ((1, 1), (0, 0), (0, 0), (0, 0)))
+    by_velocity, before, after = wide[..., nv:], np.roll(wide, 1, 0)[..., nv:], np.roll(wide, -1, 0)[..., nv:]
+    wide[..., :nv] += before * computed[:, 2] + by_velocity * computed[:, 1] + after * computed[:, 0]
+    return wide
 
 
 def _likeliest(high: Array, slopes: Array, bent: Array, start: Array) -> Array:

@@ -96,7 +96,7 @@ def first_fit(
             in no pit.
         dofs: Degrees of freedom that are looked at; None: all.
     """
-    fitter, held = (Fitter(half, recordings.horizons, dofs=dofs) for half in (recordings.fit, recordings.held))
+    fitter, held = fitters(recordings, dofs)
     moved = fitter.moved(start)
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
@@ -109,6 +109,13 @@ def first_fit(
     fit = court.settle(fit, rounds=1, iterations=5)
     court = replace(court, floor=floor_of(fit.residuals, moved))
     return _judged(court.settle(fit, rounds=1, iterations=5), court, moved)
+
+
+def fitters(recordings: Recordings, dofs: NDArray[np.intp] | None) -> tuple[Fitter, Fitter]:
+    """What fits the windows of the first half, and what judges by those of the other."""
+    horizons, channels = recordings.horizons, recordings.channels
+    first, second = (Fitter(half, horizons, None, dofs, channels) for half in (recordings.fit, recordings.held))
+    return first, second
 
 
 def best_of_pits(fitter: Fitter, fit: Fit, guesses: Array) -> Fit:
@@ -136,8 +143,7 @@ def _improved(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -
 
 def moved_over(base: Trial, court: Court, recordings: Recordings) -> tuple[Trial, Court]:
     """The base fitted to other halves of the recordings, from where it was."""
-    dofs, halves = court.fitter.dofs, (recordings.fit, recordings.held)
-    fitter, held = (Fitter(half, recordings.horizons, dofs=dofs) for half in halves)
+    fitter, held = fitters(recordings, court.fitter.dofs)
     fit = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     court = replace(court, block=recordings.block, fitter=fitter, held=held)
     return _judged(court.settle(fit), court, fitter.moved(fit.replay))
@@ -163,7 +169,9 @@ def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> boo
     """
     early = [half[np.flatnonzero(half.row < lead)] for half in (every.fit, every.held)]
     residuals = [
-        Fitter(half, every.horizons).residuals_at(base.fit.replay, base.fit.xi[None])[0] for half in early if len(half)
+        Fitter(half, every.horizons, channels=every.channels).residuals_at(base.fit.replay, base.fit.xi[None])[0]
+        for half in early
+        if len(half)
     ]
     if not residuals:
         return False
@@ -200,6 +208,8 @@ def in_noise(
             share = misjudged(known.replay, known.xi, recordings.longest, recordings.encoders, sigma, seed)
     sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
+    # a start's velocity that nobody measured errs alike at all horizons
+    whole = whole or recordings.channels is not None
     court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)
     fitter, moved = court.fitter, court.fitter.moved(base.fit.replay)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)

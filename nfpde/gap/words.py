@@ -92,11 +92,11 @@ def summary(
             else f"None of the known effects explains what is left. {free} nothing either: look for what changes "
             "otherwise, such as contact, another joint, noise of the commands, time stamps."
         )
-    if computed and verdict != "no_gap":
+    if computed:
         lines.append(
-            f"Nobody measured the velocities of {computed}: they are differences of the positions, which miss what "
-            "happens within a control step, and that counts as gap here. Record velocities, or positions at a higher "
-            "rate."
+            f"Nobody measured the velocities of {computed}: they are differences of the positions. What counts is the "
+            "positions alone, whatever velocity a window begins with, and that shows less: record velocities, too, or "
+            "positions at a higher rate."
         )
     lines += [
         f"While it rests, {joint} reads {error}, within half a step of its encoder: that was taken out of the "

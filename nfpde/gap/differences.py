@@ -1,0 +1,54 @@
+"""Velocities that nobody measured: what they are of the positions in the rows around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.dataset import Dataset
+from nfpde.dataset.velocities import difference_ways, says_computed
+from nfpde.elements import listed
+from nfpde.gap.readings import Readings, axes_of
+
+Array = NDArray[np.float64]
+
+WAYS = {"backward": (-1.0, 1.0, 0.0), "forward": (0.0, -1.0, 1.0), "central": (-0.5, 0.0, 0.5)}
+"""What a velocity takes of the positions in the row before, its own and the next, over a control step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """How the velocities of recordings were computed from their positions.
+
+    weights: of the positions in the row before, the same and the next, over a control step (nv, 3); zeros where a
+        velocity was measured
+    said: the joints whose velocities were computed, and the way, in words; "" where there are none
+    """
+
+    weights: Array
+    said: str
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, dataset: Dataset) -> Differences:
+        """Where the recordings say so, or velocities are differences of the positions to the last digits.
+
+        Args:
+            model: Says which columns belong to which joint.
+            dataset: Recordings in the model's order.
+        """
+        weights, axes = np.zeros((model.nv, 3)), axes_of(model)
+        if says_computed(dataset):
+            weights[:] = WAYS["central"]
+            return cls(weights, listed([f"{axis.name} (central)" for axis in axes] or ["all bodies"]))
+        # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
+        if not axes or dataset.control_dt < 1.5 * model.opt.timestep:
+            return cls(weights, "")
+        readings = Readings.of(model, dataset)
+        ways = difference_ways(readings.qpos, readings.qvel, readings.inside, readings.control_dt)
+        found = [(axis, way) for axis, way in zip(axes, ways, strict=True) if way]
+        for axis, way in found:
+            weights[axis.v] = WAYS[way]
+        return cls(weights, listed([f"{axis.name} ({way})" for axis, way in found]) if found else "")

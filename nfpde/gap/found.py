@@ -1,0 +1,75 @@
+"""What a search found, and what it leaves to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nfpde.gap.accepted import Accepted
+from nfpde.gap.halves import HeldOut
+from nfpde.gap.recordings import Recordings
+from nfpde.gap.select import Selection
+from nfpde.gap.stage import Stage
+from nfpde.gap.trial import Trial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    recordings: in the longest windows
+    near: the stage of the last selection
+    selection: that selection, with the simulated steps of all
+    final: the parameters and what was accepted
+    accepted: effects in the order of their acceptance
+    early: whether windows start in the first rows of episodes, too
+    by: the stage of a part of the joints, where these alone told what was found
+    halves: what was held out; None where the seed decided
+    every: whether all short windows were looked at
+    """
+
+    recordings: Recordings
+    near: Stage
+    selection: Selection
+    final: Trial
+    accepted: list[Accepted]
+    early: bool
+    by: Stage | None = None
+    halves: HeldOut | None = None
+    every: bool = False
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an accepted effect acts by commands from before a window."""
+        return remembers(self.accepted)
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """What a search over all short windows takes from the one over some of them.
+
+    halves: what was held out: what was asked of one pair of halves must not be asked of another until chance says yes
+    early: whether windows start in the first rows of episodes, too
+    misjudged: by how much the noise of the sensors is, see `Stage`
+    xi: the fitted parameters, which were looked for all over their bounds (D,)
+    """
+
+    halves: HeldOut | None
+    early: bool
+    misjudged: Array | float
+    xi: Array
+
+    @classmethod
+    def of(cls, found: Found) -> Earlier:
+        """Of a search that found nothing."""
+        return cls(found.halves, found.early, found.near.misjudged, found.near.base.fit.xi)
+
+
+def remembers(accepted: Sequence[Accepted]) -> bool:
+    """Whether an effect acts by commands from before a window."""
+    return any(a.effect.memory_time() > 0 for a in accepted)
