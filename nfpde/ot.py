@@ -243,6 +243,8 @@ def _vector(name: str, values: ArrayLike | None) -> Floats | None:
 
 def _floats(name: str, values: ArrayLike) -> Floats:
     """A C-contiguous float64 array of real numbers."""
+    if np.ma.is_masked(values):  # what lies under a mask would count
+        raise BadInput(f"{name} is masked in part: leave its masked rows out, with their weights")
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, RuntimeError) as error:

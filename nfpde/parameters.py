@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, log_expit, logit
 
 from nfpde.errors import BadParameter, SpaceMismatch
+from nfpde.storage import write_whole
 
 Target = str | int | tuple[str | int, ...] | None
 
@@ -298,7 +299,7 @@ class ParameterSpace:
                 if key in ("field", "low", "high") or value != getattr(automatic, key):
                     lines.append(f"{key} = {_toml(value)}")
             lines.append("")
-        Path(path).write_text("\n".join(lines), encoding="utf-8")
+        write_whole(Path(path), "\n".join(lines))
 
 
 def _from_table(table: object, where: str) -> Parameter:

@@ -6,8 +6,9 @@ import contextlib
 import json
 import math
 import os
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from nfpde.errors import BadInput
 
@@ -47,6 +48,34 @@ def write_whole(path: Path, data: bytes | str) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+class Picture(Protocol):
+    """What draws itself into a file, such as a figure of matplotlib."""
+
+    def savefig(self, fname: Any, /, *, dpi: float, format: str) -> object:
+        """Draw into an open file."""
+        ...
+
+
+def write_picture(path: Path, figure: Picture, dpi: float) -> Path:
+    """Draw a figure into a PNG file, which is replaced at once; see `write_whole`.
+
+    Args:
+        path: the file; its folder must exist.
+        figure: what is drawn.
+        dpi: pixels per inch.
+
+    Returns:
+        The path.
+
+    Raises:
+        OSError: as `write_whole`.
+    """
+    picture = BytesIO()
+    figure.savefig(picture, dpi=dpi, format="png")
+    write_whole(path, picture.getvalue())
+    return path
 
 
 def finite(value: Any) -> Any:

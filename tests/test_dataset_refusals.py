@@ -63,6 +63,7 @@ def test_small_jitter_is_allowed():
         ({"qpos": [[1], [2], [3]]}, "episode 'a': qpos has 3 rows and time has 2"),
         ({"qpos": np.array([[1], [None]])}, "episode 'a': qpos holds Python objects"),
         ({"time": [0, 10**400]}, "episode 'a': time holds Python objects"),
+        ({"qvel": np.ma.masked_equal([[1], [2]], 2)}, "episode 'a': qvel is masked in part; split the episode"),
         ({"ctrl": [0, 0]}, "episode 'a': ctrl has shape (2,); it must have two dimensions"),
         ({"qvel": np.array([[1], [1e300]], np.longdouble) ** 2}, "row 1, column qvel_0: the value is inf"),
     ],

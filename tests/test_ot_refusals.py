@@ -32,6 +32,7 @@ BAD_POINTS = [
     (X, [["a", "b", "c"]], "y has dtype <U1"),
     ([[1.0, 2.0, 3.0], [1.0]], Y, "x cannot be read as an array"),
     (torch.ones(4, 3, requires_grad=True), Y, "x cannot be read as an array on the CPU"),
+    (np.ma.masked_less(X, np.median(X)), Y, "x is masked in part: leave its masked rows out"),
 ]
 
 

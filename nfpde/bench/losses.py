@@ -27,6 +27,7 @@ from nfpde.benchmarks import ROBOTS, Robot
 from nfpde.dataset import Dataset, Episode
 from nfpde.sim import MujocoSimulator
 from nfpde.sim.quiet import quiet_mujoco
+from nfpde.storage import write_whole
 
 Array = NDArray[np.float64]
 Way = Callable[[], int]
@@ -77,8 +78,8 @@ def run(quick: bool, out: Path) -> None:
     print("\n" + table)
     out.mkdir(parents=True, exist_ok=True)
     record = out / ("losses_quick" if quick else "losses")
-    record.with_suffix(".json").write_text(json.dumps({**facts, "rows": rows}, indent=1), encoding="utf-8")
-    record.with_suffix(".md").write_text(table, encoding="utf-8")
+    write_whole(record.with_suffix(".json"), json.dumps({**facts, "rows": rows}, indent=1))
+    write_whole(record.with_suffix(".md"), table)
 
 
 def _environment(robot: Robot) -> MujocoEnv:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -14,7 +13,7 @@ from nfpde.corner.content import make_content
 from nfpde.corner.layout import grid, triangle
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
-from nfpde.storage import write_whole
+from nfpde.storage import write_picture
 
 STYLE: Any = {
     "font.size": 9.0,
@@ -93,7 +92,4 @@ def corner(
     path.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(STYLE):
         figure = triangle(content) if len(content.space) <= max_dimensions else grid(content)
-        picture = BytesIO()
-        figure.savefig(picture, dpi=150, format="png")
-    write_whole(path, picture.getvalue())
-    return path
+        return write_picture(path, figure, dpi=150)

@@ -60,8 +60,10 @@ def plain_array(value: Any, what: str) -> NDArray[Any]:
         The array; not copied where it was one already.
 
     Raises:
-        BadDataset: A ragged nested sequence, or an array of Python objects.
+        BadDataset: A ragged nested sequence, an array of Python objects, or one that is masked in part.
     """
+    if np.ma.is_masked(value):  # what lies under a mask would count
+        raise BadDataset(f"{what} is masked in part; split the episode where values are missing.")
     try:
         array = np.asarray(value)
     except (ValueError, TypeError) as error:

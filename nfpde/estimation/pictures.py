@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from nfpde.corner import corner
 from nfpde.estimation.result import FitResult
-from nfpde.storage import write_whole
+from nfpde.storage import write_picture
 
 _PANELS = {
     "loss": "squared error of what explains the data",
@@ -52,7 +51,4 @@ def _draw_history(result: FitResult, path: Path) -> Path:
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)
     axes[-1].set_xlabel("iteration")
-    picture = BytesIO()
-    figure.savefig(picture, dpi=150, format="png")
-    write_whole(path, picture.getvalue())
-    return path
+    return write_picture(path, figure, dpi=150)

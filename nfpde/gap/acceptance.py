@@ -33,6 +33,10 @@ NOISE_TIMES = 3.0
 """What noise alone gives, times this, is what a candidate must gain near the noise floor: draws differ by a factor of
 two where contacts multiply noise, and the noise of the sensors, whose square counts, is known to a tenth or two."""
 
+REMEMBERED = 1
+"""Models beside the last one of which it is remembered what noise alone gives: each holds its draws of all windows,
+gigabytes on large robots. The search comes back to where it began; what is forgotten is drawn again, alike."""
+
 LEAST_GAP = FLOOR_ERROR**2
 """Gap below which there is nothing to look for: residuals of a tenth of the noise that was believed."""
 
@@ -220,9 +224,11 @@ class Acceptance(Rounds):
 
     def given_by_noise(self, trial: Trial, current: Trial, sigma: Array, gain: float) -> bool:
         """Whether noise alone gives a trial as much: a gap near the floor may be noise that was believed too small."""
-        if current not in self.by_noise:
-            self.by_noise[current] = NoiseAlone(self.court, current, sigma)
-        given = self.by_noise[current].gives(trial, gain)
+        noise = self.by_noise.pop(current, None) or NoiseAlone(self.court, current, sigma)
+        while len(self.by_noise) > REMEMBERED:
+            self.by_noise.pop(next(iter(self.by_noise)))
+        self.by_noise[current] = noise
+        given = noise.gives(trial, gain)
         self.count(trial.fit.replay, current.fit.replay)
         return given
 

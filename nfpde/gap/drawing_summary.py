@@ -15,6 +15,7 @@ from nfpde.gap.html_causes import powers, scale
 from nfpde.gap.html_robot import shares
 from nfpde.gap.html_svg import percent, shade
 from nfpde.gap.report import GapReport
+from nfpde.storage import write_picture
 
 _WIDE, _HIGH, _PART = 13.0, 5.2, 0.55
 """Size [in], and the robot's part of the width."""
@@ -28,8 +29,7 @@ def draw_summary(report: GapReport, path: Path) -> Path:
     figure = Figure(figsize=(_WIDE, _HIGH))
     _ladder(figure.add_axes((0.135, 0.1, 0.285, 0.8)), report)
     _robot(figure.add_axes((1 - _PART, 0.02, _PART, 0.88)), layout, bool(shares(report)))
-    figure.savefig(path, dpi=120)
-    return path
+    return write_picture(path, figure, dpi=120)
 
 
 def _ladder(ax: Axes, report: GapReport) -> None:

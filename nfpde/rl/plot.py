@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nfpde.rl.history import Point, Score, TrainResult
-from nfpde.storage import write_whole
+from nfpde.storage import write_picture
 
 TRAINING, TARGET, NOMINAL, EXPLORING = "#2a6f97", "#d1495b", "#6b7280", "#9fc3d9"
 
@@ -41,9 +40,7 @@ def plot_returns(result: TrainResult, path: Path | str) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.legend(frameon=False, fontsize=9, loc="best")
-    picture = BytesIO()
-    figure.savefig(picture, format="png")
-    write_whole(Path(path), picture.getvalue())
+    write_picture(Path(path), figure, dpi=figure.dpi)
 
 
 def _line(

@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
+from nfpde.storage import write_picture
+
 Array = NDArray[np.float64]
 
 BINS = 10
@@ -82,5 +84,4 @@ def draw_ranks(ranks: ArrayLike, samples: int, names: Sequence[str], title: str,
         ax.set_axis_off()
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     figure.supxlabel("rank of the true value among posterior samples, as a share", fontsize=8)
-    figure.savefig(path, dpi=150)
-    return path
+    return write_picture(path, figure, dpi=150)

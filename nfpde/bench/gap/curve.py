@@ -9,6 +9,7 @@ import matplotlib
 
 from nfpde.bench.gap.score import Row
 from nfpde.bench.gap.summary import by_size, wilson
+from nfpde.storage import write_picture
 
 SERIES = (
     ("cause", "cases", "right cause", "#1f77b4", 0.92),
@@ -43,4 +44,4 @@ def draw_curve(rows: Sequence[Row], path: Path) -> None:
     axes.set_ylabel("share of cases")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside upper center", ncols=3, fontsize=9)
-    figure.savefig(path, dpi=120)
+    write_picture(path, figure, dpi=120)
