@@ -80,6 +80,20 @@ def test_no_noise_leaves_the_recordings_alone(swings):
     assert not sigma.any()
 
 
+def test_velocities_that_no_sensor_measured(swings):
+    """Differenced ones say so and are central; filtered ones lag behind, forget at the rate of a step, and do not."""
+    taken = sensing.differenced(swings[0])
+    assert taken.metadata.conventions["velocities"] == "differences of the positions"
+    for before, after in zip(swings[0], taken, strict=True):
+        assert after.qvel[1:-1] == pytest.approx((before.qpos[2:] - before.qpos[:-2]) / (2 * taken.control_dt))
+    for before, after in zip(swings[0], sensing.filtered(swings[0]), strict=True):
+        rates, expected = np.diff(before.qpos, axis=0) / taken.control_dt, np.zeros_like(before.qvel)
+        for row, rate in enumerate(rates, 1):
+            expected[row] = rate + np.exp(-1.0) * (expected[row - 1] - rate)
+        assert after.qvel == pytest.approx(expected)
+    assert sensing.filtered(swings[0]).metadata == swings[0].metadata
+
+
 @pytest.mark.parametrize("joint", [True, False])
 def test_information_is_generalised_least_squares(joint):
     """The elimination equals the dense formula with the covariance of e' - F e over a whole episode."""

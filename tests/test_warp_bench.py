@@ -131,7 +131,7 @@ def test_other_devices_are_refused(tmp_path):
 def test_a_problem_of_the_calibration_on_both_devices():
     """The same recordings fitted with either simulator: best values apart by a fraction of their standard deviation."""
     settings = CalibrationSettings(TrajectoryConfig(starts=2, steps=4, rounds=3), steps=30, samples=99)
-    here, there = (problem("pendulum", False, settings, 0, device) for device in ("cpu", "warp-cpu"))
+    here, there = (problem("pendulum", "", settings, 0, device) for device in ("cpu", "warp-cpu"))
     assert here["true"] == there["true"]
     apart = np.abs(np.array(there["value"]) - here["value"])
     # single precision moves no estimate by what its recordings could tell

@@ -7,8 +7,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from nfpde.dataset import Dataset, Episode
+from nfpde.dataset.velocities import COMPUTED, differentiate_episode
 from nfpde.sim import StateSpace
 
 Array = NDArray[np.float64]
@@ -56,6 +58,26 @@ def apart(dataset: Dataset) -> Dataset:
             name, robot = f"{e.name}.{t}", e.robot or e.name
             pieces.append(Episode(name, e.time[rows], e.qpos[rows], e.qvel[rows], e.ctrl[rows], robot))
     return replace(dataset, episodes=pieces)
+
+
+def differenced(dataset: Dataset) -> Dataset:
+    """The same positions with velocities taken from them, which the data set says; of robots without quaternions."""
+    said = replace(dataset.metadata, conventions={**dataset.metadata.conventions, **COMPUTED})
+    return replace(dataset, episodes=[differentiate_episode(e) for e in dataset], metadata=said)
+
+
+def filtered(dataset: Dataset) -> Dataset:
+    """The same positions with velocities as the firmware of many drives reports them; of robots without quaternions.
+
+    Differences to the row before, through a low-pass of first order whose time constant is a control step. Nobody says
+    so, and no digits tell.
+    """
+    weight, episodes = 1.0 - np.exp(-1.0), []
+    for e in dataset:
+        rates = np.diff(e.qpos, axis=0, prepend=e.qpos[:1]) / dataset.control_dt
+        qvel = lfilter([weight], [1.0, weight - 1.0], rates, axis=0)
+        episodes.append(replace(e, qvel=qvel))
+    return replace(dataset, episodes=episodes)
 
 
 def channel_spread(states: StateSpace, dataset: Dataset) -> Array:

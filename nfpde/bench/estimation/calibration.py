@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,8 @@ from nfpde.bench.estimation.cell import facts_of_device
 from nfpde.bench.estimation.ranks import draw_ranks, rank_of
 from nfpde.bench.estimation.stages import Budget, OutOfTime, Stages
 from nfpde.benchmarks import record, robot
-from nfpde.benchmarks.sensing import apart, with_noise
+from nfpde.benchmarks.sensing import apart, differenced, filtered, with_noise
+from nfpde.dataset import Dataset
 from nfpde.errors import BadInput
 from nfpde.estimation import TrajectoryConfig, fit
 from nfpde.sim import Device, found_device, make_simulator
@@ -27,6 +28,14 @@ EPISODES = {"pendulum": 1, "payload": 1, "hopper": 4}
 robot only a sum of two masses is told: its posteriors are ridges that end at the bounds."""
 
 DEFAULT_EPISODES = 1
+
+SENSING: dict[str, tuple[Callable[[Dataset], Dataset], Callable[[Dataset], Dataset]]] = {
+    "": (lambda data: data, lambda data: data),
+    "anew": (apart, lambda data: data),
+    "differenced": (lambda data: data, differenced),
+    "filtered": (lambda data: data, filtered),
+}
+"""How recordings are made: what is done to them before noise is put on them, and after."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +71,8 @@ def calibrate(
     """Measure the problems that are not finished yet; write calibration.md, and JSON and a PNG for each robot.
 
     Each problem: a robot drawn uniformly from the box, which is the estimator's prior, recorded with sensor noise and
-    fitted alone. Every robot has a control beside it: the same problems with every transition measured anew, which
-    tells errors of the inference from errors of what it takes the noise for.
+    fitted alone. Every robot has others beside it, see `SENSING`: a control, which tells errors of the inference from
+    errors of what it takes the noise for, and velocities that no sensor measured.
 
     Args:
         out: folder of the table; the rest lies in `calibration/` in it.
@@ -87,8 +96,8 @@ def calibrate(
     elsewhere = device != "cpu"
     folder = out / ("calibration" + (f"_{device}" if elsewhere else "") + ("_quick" if quick else ""))
     budget = Budget.of(budget_minutes)
-    kinds = [(name, anew) for anew in (False, True) for name in names]
-    complete = all(_robot(name, anew, folder, settings, count, budget, device) for name, anew in kinds)
+    kinds = [(name, sensing) for sensing in SENSING for name in names]
+    complete = all(_robot(name, sensing, folder, settings, count, budget, device) for name, sensing in kinds)
     options = (f" --device {device}" if elsewhere else "") + (" --quick" if quick else "")
     text = table(folder, f"nfpde bench estimation --calibration{options}")
     print(text)
@@ -97,13 +106,13 @@ def calibrate(
 
 
 def _robot(
-    name: str, anew: bool, folder: Path, settings: CalibrationSettings, count: int, budget: Budget, device: Device
+    name: str, sensing: str, folder: Path, settings: CalibrationSettings, count: int, budget: Budget, device: Device
 ) -> bool:
     """All problems of one kind that are not finished yet, and their picture; whether none is left."""
     parameters = robot(name).space.names
     same = json.loads(json.dumps({"episodes": EPISODES.get(name, DEFAULT_EPISODES), "settings": asdict(settings)}))
-    facts = {"robot": name, "anew": anew, "problems": count, **same, **facts_of_device(robot(name), device)}
-    stem = f"{name}_anew" if anew else name
+    facts = {"robot": name, "sensing": sensing, "problems": count, **same, **facts_of_device(robot(name), device)}
+    stem = f"{name}_{sensing}" if sensing else name
     stages = _stages(folder, stem, facts, budget, same)
     before = max((int(i) + 1 for i in stages.done), default=0)
     if before > count:
@@ -115,7 +124,7 @@ def _robot(
     complete = True
     try:
         for i in range(count):
-            stages(f"{i}", partial(problem, name, anew, settings, i, device), same)
+            stages(f"{i}", partial(problem, name, sensing, settings, i, device), same)
         stages.finish()
     except OutOfTime:
         complete = False
@@ -134,7 +143,9 @@ def _stages(folder: Path, stem: str, facts: dict[str, Any], budget: Budget, same
     return stages
 
 
-def problem(name: str, anew: bool, settings: CalibrationSettings, index: int, device: Device = "cpu") -> dict[str, Any]:
+def problem(
+    name: str, sensing: str, settings: CalibrationSettings, index: int, device: Device = "cpu"
+) -> dict[str, Any]:
     """One problem: draw, record, fit; ranks of the true values, with errors in posterior standard deviations."""
     body = robot(name)
     rng = np.random.default_rng([index, 2])
@@ -142,7 +153,8 @@ def problem(name: str, anew: bool, settings: CalibrationSettings, index: int, de
     share = float(np.exp(rng.uniform(*np.log(settings.noise))))
     episodes = EPISODES.get(name, DEFAULT_EPISODES)
     clean = record(body, xi.repeat(episodes, 0), steps=settings.steps, rng=rng, labels=[name] * episodes)
-    dataset, _ = with_noise(body.model, apart(clean) if anew else clean, share, index)
+    before, after = SENSING[sensing]
+    dataset = after(with_noise(body.model, before(clean), share, index)[0])
     simulator = make_simulator(body.path, body.space, device=device)
     result = fit(simulator, dataset, method="trajectory", config=settings.trajectory, seed=index, quiet=True)
     posterior = result.episodes or result.distribution

@@ -16,6 +16,9 @@ from nfpde.storage import read_json
 
 Array = NDArray[np.float64]
 
+TITLES = {"anew": "measured anew", "differenced": "velocities differenced", "filtered": "velocities filtered"}
+"""Of recordings that are made in other ways than with noise on every state."""
+
 CHANCE = 3.0
 """A parameter whose coverage is more standard errors off than this is not off by chance."""
 
@@ -72,7 +75,9 @@ def table(folder: Path, command: str) -> str:
             "`measured anew` is a control: each transition is a recording of its own, whose two states have errors of "
             "their own. In a recording as it comes a measured state ends one transition and starts the next. Of "
             "`payload`, a hand and what it holds, recordings tell the sum of the masses, the bounds all that is known "
-            "of either.",
+            "of either. `velocities differenced`: positions alone were measured, velocities are their central "
+            "differences, as the data say. `velocities filtered`: differences to the row before through a low-pass of "
+            "a control step's time constant, which the data do not say.",
             "",
             *lines,
             f"`{command}`.",
@@ -104,7 +109,8 @@ def _errors(content: dict[str, Any]) -> Array:
 
 
 def _title(content: dict[str, Any]) -> str:
-    return content["facts"]["robot"] + (", measured anew" if content["facts"]["anew"] else "")
+    sensing = content["facts"]["sensing"]
+    return content["facts"]["robot"] + (f", {TITLES[sensing]}" if sensing else "")
 
 
 def _section(content: dict[str, Any], picture: str) -> list[str]:
