@@ -33,7 +33,7 @@ def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
     """
     found = []
     # a single step from a velocity that nobody measured tells that velocity, and nothing else
-    for length in range(1 if recordings.channels is None else 2, min(LENGTHS, len(recordings.horizons) - 1) + 1):
+    for length in range(2 if recordings.positions_alone else 1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
         horizons = recordings.horizons[:length]
         count = _most(most, horizons[-1])
         fit, held = (shorter(half, horizons[-1], count) for half in (recordings.fit, recordings.held))

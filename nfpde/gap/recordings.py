@@ -66,12 +66,14 @@ class Recordings:
     encoders: Encoders
 
     @property
-    def channels(self) -> int | None:
-        """Channels of every degree of freedom that are compared, the first so many; None: all.
+    def positions_alone(self) -> bool:
+        """Whether positions alone are compared, as velocities were computed from them, or some of them were."""
+        return self.encoders.computed is not None
 
-        Positions alone, where they are all that was measured.
-        """
-        return None if self.encoders.computed is None else len(self.horizons)
+    @property
+    def channels(self) -> int | None:
+        """Channels of every degree of freedom that are compared, the first so many; None: all."""
+        return len(self.horizons) if self.positions_alone else None
 
 
 def joined(first: Windows, second: Windows) -> Windows:

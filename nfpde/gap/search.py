@@ -151,7 +151,7 @@ class Search:
             first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=first.misjudged)
             selection = replace(_moved(selection, first), below=True)
         # what a start's velocity does hangs on what is accepted: where nobody measured it, it is asked anew each time
-        unmeasured = recordings.channels is not None
+        unmeasured = recordings.positions_alone
         if unmeasured:
             selection = replace(selection, most=1)
         near, selection, final, accepted = self._select(first, selection)

@@ -209,7 +209,7 @@ def in_noise(
     sigma = sigma / share
     left = np.concatenate([base.fit.residuals, base.held])
     # a start's velocity that nobody measured errs alike at all horizons
-    whole = whole or recordings.channels is not None
+    whole = whole or recordings.positions_alone
     court, noise = quietened(court, base.fit, left, known, sigma, seed, whole=whole)
     fitter, moved = court.fitter, court.fitter.moved(base.fit.replay)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
