@@ -209,7 +209,7 @@ def test_calibration_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "problem", None)
     assert estimation.calibrate(tmp_path, quick=True)
     page = (tmp_path / "calibration_quick.md").read_text()
-    assert page.count("| dof_damping:hinge |") == 2
+    assert page.count("| dof_damping:hinge |") == len(calibration.SENSING)
     assert "## pendulum, measured anew" in page
     # posteriors that are above the truth in every problem
     for stage in content["stages"].values():
@@ -224,8 +224,8 @@ def test_calibration_with_other_settings_is_measured_anew(tmp_path, monkeypatch)
     """Problems of other settings never end up in one table, finished or not; more problems keep those there are."""
     measured = []
 
-    def problem(name, anew, settings, index, device):
-        measured.append((anew, index, settings.samples))
+    def problem(name, sensing, settings, index, device):
+        measured.append((sensing, index, settings.samples))
         if len(measured) == stop:
             raise KeyboardInterrupt
         figures = dict.fromkeys(("noise", "transitions", "modes", "million_steps", "seconds"), 1.0)
@@ -234,24 +234,24 @@ def test_calibration_with_other_settings_is_measured_anew(tmp_path, monkeypatch)
     monkeypatch.setattr(calibration, "problem", problem)
     stop = 0
     assert estimation.calibrate(tmp_path, quick=True)
-    first = [(anew, i, calibration.QUICK.samples) for anew in (False, True) for i in range(calibration.QUICK_PROBLEMS)]
+    first = [(s, i, calibration.QUICK.samples) for s in calibration.SENSING for i in range(calibration.QUICK_PROBLEMS)]
     assert measured == first
     monkeypatch.setattr(calibration, "QUICK_PROBLEMS", calibration.QUICK_PROBLEMS + 1)
     measured.clear()
     assert estimation.calibrate(tmp_path, quick=True)
-    assert [index for _, index, _ in measured] == [3, 3]
+    assert [index for _, index, _ in measured] == [3] * len(calibration.SENSING)
     monkeypatch.setattr(calibration, "QUICK", replace(calibration.QUICK, samples=29))
     stop = 3
     measured.clear()
     with pytest.raises(KeyboardInterrupt):
         estimation.calibrate(tmp_path, quick=True)
-    assert measured == [(False, 0, 29), (False, 1, 29), (False, 2, 29)]
+    assert measured == [("", 0, 29), ("", 1, 29), ("", 2, 29)]
     # what was finished with 29 samples is not counted among problems of 39, though it is on disk
     monkeypatch.setattr(calibration, "QUICK", replace(calibration.QUICK, samples=39))
     stop = 0
     measured.clear()
     assert estimation.calibrate(tmp_path, quick=True)
-    assert measured == [(anew, i, 39) for anew in (False, True) for i in range(4)]
+    assert measured == [(s, i, 39) for s in calibration.SENSING for i in range(4)]
     content = json.loads((tmp_path / "calibration_quick" / "pendulum.json").read_text())
     assert {stage["settings"]["settings"]["samples"] for stage in content["stages"].values()} == {39}
 
