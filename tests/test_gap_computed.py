@@ -184,7 +184,7 @@ def test_a_fault_is_found_by_positions_alone(way):
     data = computed(record(lambda m: m.dof_damping.__setitem__(1, 0.4), noise=3e-4), way)
     report = diagnose_gap(nominal(), data)
     assert report.verdict == "effects"
-    most = report.effects[0]  # of two in a hundred such recordings a second effect is named, of next to no size
+    most = report.effects[0]  # a second effect of next to no size may be named beside it
     assert (most.effect, most.target) == ("viscous_damping", "elbow")
     (value,) = most.parameters.values()
     assert value.value == pytest.approx(0.35, rel=0.03)

@@ -113,20 +113,8 @@ def diagnose_gap(
     draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
-    outcome = Outcome(
-        dataset,
-        shown,
-        near,
-        final,
-        tuple(accepted),
-        selection,
-        sigma,
-        scales.force,
-        seed,
-        computed.said,
-        error,
-        found.by,
-    )
+    effects, typical, said = tuple(accepted), scales.force, computed.said
+    outcome = Outcome(dataset, shown, near, final, effects, selection, sigma, typical, seed, said, error, found.by)
     return answer(outcome, time.monotonic() - begin)
 
 

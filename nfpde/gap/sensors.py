@@ -52,8 +52,7 @@ def sensor_noise(replay: Replay, xi: Array, rows: Windows, encoders: Encoders) -
     found = np.maximum(_varying_noise(replay, xi, rows, r, computed), grain)
     if computed is not None:
         position, velocity = found[: replay.nv], found[replay.nv :]
-        sound = np.isfinite(r).all(1)
-        blurred = np.sqrt(calm(r[sound, : replay.nv] ** 2).mean(0)) / rows.control_dt
+        blurred = np.sqrt(calm(r[:, : replay.nv] ** 2).mean(0)) / rows.control_dt
         noisy = np.hypot(velocity, position * np.sqrt((computed**2).sum(1)))
         velocity[:] = np.where(computed.any(1), np.maximum(noisy, blurred), velocity)
     return found
