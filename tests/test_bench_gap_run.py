@@ -47,7 +47,7 @@ def drawn():
 def quick(drawn, monkeypatch):
     """Every index is the same system: drawing is tested elsewhere."""
 
-    def same(seed, index):
+    def same(seed, index, kind=None):
         return replace(drawn, key={**drawn.key, "seed": seed, "index": index})
 
     monkeypatch.setattr(case_module, "draw_system", same)
@@ -97,6 +97,19 @@ def test_the_diagnosis_is_told_its_device(stub, quick, tmp_path, capsys):
     unknown: Any = "tpu"
     with pytest.raises(BadInput, match="'tpu'; there are: auto, cpu, cuda, warp-cpu"):
         bench.run(31, out, cases=1, folder=folder, command=stub, device=unknown)
+
+
+def test_a_table_may_be_of_one_kind(stub, tmp_path):
+    """Sound robots alone: no key holds a fault; table and folder say so, and no other kind goes on there."""
+    folder, out = tmp_path / "work", tmp_path / "out"
+    rows = bench.run(31, out, cases=2, folder=folder, command=stub, kind="none")
+    assert [row.kind for row in rows] == ["none", "none"]
+    assert json.loads((folder / "keys" / "0000.json").read_text())["faults"] == []
+    assert "bench gap --seed 31 --cases 2 --limit 300 --kind none`" in (out / "gap_none.md").read_text()
+    with pytest.raises(BadInput, match="with kind 'none', this call has 'two'"):
+        bench.run(31, tmp_path / "new", cases=1, folder=folder, command=stub, kind="two")
+    with pytest.raises(BadInput, match="no kind 'three' of systems; there are: one, none, two, outsider"):
+        bench.run(31, out, cases=1, command=stub, kind="three")
 
 
 def test_a_diagnosis_that_fails_or_hangs_is_a_row(quick, tmp_path):

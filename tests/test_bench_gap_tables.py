@@ -78,7 +78,7 @@ def test_every_seed_has_a_folder_of_its_own(tmp_path, monkeypatch):
 def test_quick_draws_no_more_than_asked_for(tmp_path, monkeypatch, asked, drawn):
     """Twelve at most, and fewer where fewer are asked for."""
     made = []
-    monkeypatch.setattr(bench, "draw_only", lambda *_, cases: made.append(cases))
+    monkeypatch.setattr(bench, "draw_only", lambda *_, cases, kind: made.append(cases))
     call = ["bench", "gap", "--seed", "31", "--draw-only", "--quick", "--cases", asked, "--folder", str(tmp_path)]
     assert CliRunner().invoke(app, call).exit_code == 0
     assert made == [drawn]

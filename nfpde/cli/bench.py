@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,6 +15,7 @@ app = typer.Typer(help="Benchmarks of the package; each prints a table and write
 
 Quick = Annotated[bool, typer.Option(help="smaller sizes and fewer repeats: minutes instead of tens of minutes")]
 Out = Annotated[Path, typer.Option(help="folder for the tables")]
+GapKind = Literal["one", "none", "two", "outsider"]
 
 
 @app.command("losses")
@@ -115,24 +116,37 @@ def gap(
     cases: Annotated[int, typer.Option(min=1, help="number of systems")] = 300,
     jobs: Annotated[int, typer.Option(min=1, help="systems at a time")] = 1,
     limit: Annotated[float, typer.Option(help="wall seconds for one diagnosis; longer is a failure")] = 300.0,
-    folder: Annotated[Path | None, typer.Option(help="finished cases and keys; runs/gap-SEED by default")] = None,
+    folder: Annotated[
+        Path | None, typer.Option(help="finished cases and keys; runs/gap-SEED[-KIND] by default")
+    ] = None,
     quick: Annotated[bool, typer.Option(help="12 systems at most")] = False,
     out: Annotated[
         Path | None, typer.Option(help="folder for the tables; docs/results/gap_SEED by default", show_default=False)
     ] = None,
     device: Annotated[Device, typer.Option(help=f"where the diagnosis simulates: {DEVICE_HELP}")] = "auto",
+    kind: Annotated[GapKind | None, typer.Option(help="faults of every system; 60, 15, 15, 10 % if not given")] = None,
     draw_only: Annotated[bool, typer.Option(help="only write the systems, with keys beside: to develop on")] = False,
 ) -> None:
     """Hidden faults against `nfpde diagnose`: cause, place, value, false alarms. Go on by the same command."""
     from nfpde.bench.gap import run as bench
 
     if draw_only:
-        folder = folder or Path("runs") / f"gap-{seed}"
+        folder = folder or Path("runs") / f"gap-{seed}{'' if kind is None else '-' + kind}"
         cases = min(cases, bench.QUICK_CASES) if quick else cases
-        bench.draw_only(seed, folder / "systems", folder / "keys", cases=cases)
+        bench.draw_only(seed, folder / "systems", folder / "keys", cases=cases, kind=kind)
         return
     out = out or Path("docs/results") / f"gap_{seed}"
-    bench.run(seed, out, cases=cases, jobs=jobs, quick=quick, limit=limit, folder=folder, device=found_device(device))
+    bench.run(
+        seed,
+        out,
+        cases=cases,
+        jobs=jobs,
+        quick=quick,
+        limit=limit,
+        folder=folder,
+        device=found_device(device),
+        kind=kind,
+    )
 
 
 @app.command("real")

@@ -35,6 +35,7 @@ class Case:
         folder: folder of the run; answers go to `answers/`, keys to `keys/`.
         command: the diagnosis; model, recordings and options follow it.
         limit: wall time after which the diagnosis is stopped [s].
+        kind: kind of the systems, see `draw.KINDS`; None: as they come.
     """
 
     seed: int
@@ -42,6 +43,7 @@ class Case:
     folder: Path
     command: Sequence[str]
     limit: float
+    kind: str | None = None
 
     @property
     def answer(self) -> Path:
@@ -70,7 +72,7 @@ def run_case(case: Case) -> int:
     The diagnosis works in a fresh folder under a name that says nothing, with the public files and nothing else. The
     key does not exist on the disk until it has ended.
     """
-    system = draw_system(case.seed, case.index)
+    system = draw_system(case.seed, case.index, case.kind)
     home = Path(tempfile.mkdtemp(prefix="system-"))
     try:
         write_public(system.xml, system.free, system.robot, system.runs, home)

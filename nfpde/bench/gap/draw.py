@@ -84,8 +84,8 @@ def entry(effect: str) -> Entry:
     return EFFECTS.get(effect) or OUTSIDERS[effect]
 
 
-def draw_system(seed: int, index: int) -> System:
-    """The system of a seed and an index, always the same.
+def draw_system(seed: int, index: int, kind: str | None = None) -> System:
+    """The system of a seed and an index, always the same; of a kind (see `KINDS`), or of a random one.
 
     Effects take turns: 28 consecutive indices have 28 different first choices. A draw whose faults do not show in the
     recordings is drawn again, after some attempts with another effect.
@@ -94,7 +94,7 @@ def draw_system(seed: int, index: int) -> System:
         RuntimeError: no attempt gave a fault that shows.
     """
     rng = np.random.default_rng([seed, 1, index, 1])  # streams may not differ by trailing zeros alone
-    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    kind = kind or str(rng.choice(list(KINDS), p=list(KINDS.values())))
     round_, place = divmod(index, len(EFFECTS))
     first = str(np.random.default_rng([seed, 2, round_, 1]).permutation(list(EFFECTS))[place])
     for attempt in range(ATTEMPTS):

@@ -19,7 +19,7 @@ DECIDES = ("bench/gap", "dataset", "effects", "gap", "kernels", "sim")
 SHOWS = ("__init__.py", "curve.py", "kept.py", "run.py", "summary.py", "table.py", "workers.py")
 """Here: what shows answers, or has them made."""
 
-SAME = ("seed", "limit", "diagnosis", "versions", "code")
+SAME = ("seed", "kind", "limit", "diagnosis", "versions", "code")
 """Facts that two tables must share if a row of one is to stand in the other."""
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from nfpde.bench.gap.cases import Case, finished, outcome, run_case
 from nfpde.bench.gap.curve import draw_curve
-from nfpde.bench.gap.draw import draw_system
+from nfpde.bench.gap.draw import KINDS, draw_system
 from nfpde.bench.gap.kept import fingerprint, kept_rows
 from nfpde.bench.gap.score import Row, judge
 from nfpde.bench.gap.store import write_key, write_public
@@ -44,6 +44,7 @@ def run(
     folder: Path | None = None,
     command: Sequence[str] = DIAGNOSE,
     device: str = "auto",
+    kind: str | None = None,
 ) -> list[Row]:
     """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
 
@@ -57,33 +58,38 @@ def run(
         jobs: systems at a time, each on a share of the cores.
         quick: 12 systems at most, tables named gap_quick.
         limit: wall time for one diagnosis [s]; longer is a failure.
-        folder: where finished cases and keys are kept; None is runs/gap-SEED.
+        folder: where finished cases and keys are kept; None is runs/gap-SEED, or runs/gap-SEED-KIND.
         command: the diagnosis.
         device: where it simulates; the table of another one than the CPU is named gap_<device>.
+        kind: of the systems, see `draw.KINDS`; tables are named gap_<kind>. None: as they come, 60 % with one fault.
 
     Returns:
         One row a case.
 
     Raises:
-        BadInput: cases or jobs below 1, a limit that is not positive, no such device, or kept cases or a table of
-            another seed, command, limit or code.
+        BadInput: cases or jobs below 1, a limit that is not positive, no such device or kind, or kept cases or a table
+            of another seed, kind, command, limit or code.
         KeyboardInterrupt: after writing the table of what is finished.
     """
     _check(cases, jobs, limit)
     command = [*command, "--device", device] if device != "auto" else command  # what the diagnosis takes by itself
     if device not in DEVICES:
         raise BadInput(f"there is no device {device!r}; there are: {', '.join(DEVICES)}")
+    if kind is not None and kind not in KINDS:
+        raise BadInput(f"there is no kind {kind!r} of systems; there are: {', '.join(KINDS)}")
     device = "cpu" if device == "auto" else device
-    folder = folder or Path("runs") / f"gap-{seed}"
+    folder = folder or Path("runs") / f"gap-{seed}{'' if kind is None else '-' + kind}"
     cases = min(cases, QUICK_CASES) if quick else cases
-    facts = _facts(seed, limit, device) | {"diagnosis": list(command[1:])}
-    name = "gap" + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
+    facts = _facts(seed, limit, device) | {"kind": kind, "diagnosis": list(command[1:])}
+    name = (
+        "gap" + (f"_{kind}" if kind else "") + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
+    )
     kept = kept_rows(out / f"{name}.json", facts)
-    settings = {"seed": seed, "limit": limit, "command": list(command)}
+    settings = {"seed": seed, "kind": kind, "limit": limit, "command": list(command)}
     folder.mkdir(parents=True, exist_ok=True)
     _check_kept(folder, settings | {name: facts[name] for name in ("versions", "code")})
     total = max([cases, *(index + 1 for index in kept)])
-    every = [Case(seed, index, folder, command, limit) for index in range(total)]
+    every = [Case(seed, index, folder, command, limit, kind) for index in range(total)]
     stopped = False
     try:
         _work([case for case in every[:cases] if not finished(case) and case.index not in kept], cases, jobs)
@@ -92,7 +98,11 @@ def run(
     rows = [_row(c) if finished(c) else kept[c.index] for c in every if finished(c) or c.index in kept]
     if rows:
         ran_on = dict.fromkeys(row.device for row in rows if row.device) or [device]  # one that failed says nothing
-        told = {"command": _command(seed, total, limit, quick, device), "device": ", ".join(ran_on), "cases": total}
+        told = {
+            "command": _command(seed, total, limit, quick, device, kind),
+            "device": ", ".join(ran_on),
+            "cases": total,
+        }
         _write(rows, facts | told, out, name)
     if stopped:
         raise KeyboardInterrupt(
@@ -106,7 +116,7 @@ def _row(case: Case) -> Row:
     return judge(key, answer["status"], answer["seconds"], answer["diagnosis"])
 
 
-def draw_only(seed: int, folder: Path, keys: Path, *, cases: int, start: int = 0) -> None:
+def draw_only(seed: int, folder: Path, keys: Path, *, cases: int, start: int = 0, kind: str | None = None) -> None:
     """Write the public files of systems to `folder` and their keys to `keys`; run no diagnosis.
 
     Raises:
@@ -117,7 +127,7 @@ def draw_only(seed: int, folder: Path, keys: Path, *, cases: int, start: int = 0
         raise BadInput(f"the keys ({keys}) may not lie in the folder of the systems ({folder}); give another folder")
     with progress("Drawing", cases) as report:
         for done, index in enumerate(range(start, start + cases), 1):
-            system = draw_system(seed, index)
+            system = draw_system(seed, index, kind)
             write_public(system.xml, system.free, system.robot, system.runs, folder / f"{seed}-{index:04d}")
             write_key(system.key, keys / f"{seed}-{index:04d}.json")
             report(done)
@@ -164,8 +174,9 @@ def _check_kept(folder: Path, settings: dict[str, Any]) -> None:
     write_whole(path, json.dumps(plain))
 
 
-def _command(seed: int, cases: int, limit: float, quick: bool, device: str) -> str:
-    options = (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
+def _command(seed: int, cases: int, limit: float, quick: bool, device: str, kind: str | None) -> str:
+    options = f" --kind {kind}" if kind else ""
+    options += (f" --device {device}" if device != "cpu" else "") + (" --quick" if quick else "")
     return f"nfpde bench gap --seed {seed} --cases {cases} --limit {limit:g}{options}"
 
 
