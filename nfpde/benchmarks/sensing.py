@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from nfpde.dataset import Dataset, Episode
-from nfpde.dataset.velocities import COMPUTED, differentiate_episode
+from nfpde.dataset.velocities import differentiated
 from nfpde.sim import StateSpace
 
 Array = NDArray[np.float64]
@@ -62,8 +62,7 @@ def apart(dataset: Dataset) -> Dataset:
 
 def differenced(dataset: Dataset) -> Dataset:
     """The same positions with velocities taken from them, which the data set says; of robots without quaternions."""
-    said = replace(dataset.metadata, conventions={**dataset.metadata.conventions, **COMPUTED})
-    return replace(dataset, episodes=[differentiate_episode(e) for e in dataset], metadata=said)
+    return differentiated(dataset)
 
 
 def filtered(dataset: Dataset) -> Dataset:

@@ -56,6 +56,17 @@ def differentiate_episode(episode: Episode, quaternions: Sequence[int] = ()) -> 
     return replace(episode, qvel=_at_rows(changes[:, kept] / steps, steps))
 
 
+def differentiated(dataset: Dataset, quaternions: Sequence[int] = ()) -> Dataset:
+    """The same positions with velocities taken from them, whatever it has, which the data set says then.
+
+    Args:
+        dataset: Recordings.
+        quaternions: See `differentiate_episode`.
+    """
+    said = replace(dataset.metadata, conventions={**dataset.metadata.conventions, **COMPUTED})
+    return replace(dataset, episodes=[differentiate_episode(e, quaternions) for e in dataset], metadata=said)
+
+
 def names_with_velocities(names: ColumnNames, quaternions: Sequence[int]) -> ColumnNames:
     """Names of the columns after `differentiate_episode`: the positions', of each quaternion the first three."""
     if names.qpos is None:

@@ -58,7 +58,7 @@ class Outcome:
     final: parameters and effects fitted
     accepted: effects in the order of their acceptance, which is their order in `final`
     sigma: noise of the sensors (2 nv,); typical: generalized forces (nv,)
-    computed: joints whose speeds were computed from their positions, in words
+    computed: which velocities do not count and why, in words
     error: by how much joints at rest read too high (nv,); the recordings are without it
     by: windows of the joints that alone told what was found, where not all did: values are known by these
     """

@@ -16,8 +16,8 @@ from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
-from nfpde.gap.differences import Differences
 from nfpde.gap.halves import FEWEST
+from nfpde.gap.late import believed
 from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
 from nfpde.gap.replay import Replay
@@ -78,7 +78,7 @@ def diagnose_gap(
     start = Replay(mjmodel, space, [], nthread, device, recall)
     dataset = start.sim.prepare(dataset)
     check_readings(mjmodel, dataset)
-    computed = Differences.of(mjmodel, dataset)
+    dataset, computed = believed(start, dataset, _nominal(start))
     scales = DataScales.of(mjmodel, dataset)
     # effects of the space itself are fitted anyway, such as friction at a joint that has some
     candidates = candidates_beside(mjmodel, scales, start.sim.effects)
@@ -113,7 +113,7 @@ def diagnose_gap(
     draws = stage.court.held.quieten(noise_of(final.fit, sigma, stage.court.held, seed))
     shown = stage.in_noise_of(draws)
     near = shown if found.near is stage else found.near
-    effects, typical, said = tuple(accepted), scales.force, computed.said
+    effects, typical, said = tuple(accepted), scales.force, computed.sentence
     outcome = Outcome(dataset, shown, near, final, effects, selection, sigma, typical, seed, said, error, found.by)
     return answer(outcome, time.monotonic() - begin)
 

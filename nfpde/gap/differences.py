@@ -1,4 +1,4 @@
-"""Velocities that nobody measured: what they are of the positions in the rows around them."""
+"""Velocities that nobody measured, or not as they are: what they are of the positions in the rows around them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,30 @@ class Differences:
     weights: of the positions in the row before, the same and the next, over a control step (nv, 3); zeros where a
         velocity was measured
     said: the joints whose velocities were computed, and the way, in words; "" where there are none
+    late: by how much which velocities had been late, in words, where they were left out for that; else ""
     """
 
     weights: Array
     said: str
+    late: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What to tell a roboticist; "" where all velocities were measured, and count."""
+        if not self.said:
+            return ""
+        alone = (
+            "What counts is the positions alone, whatever velocity a window begins with, and that shows less: record"
+        )
+        if self.late:
+            return (
+                f"The velocities run behind the positions, as a filter makes them: by {self.late}. They were left out. "
+                f"{alone} velocities without a filter, or positions at a higher rate."
+            )
+        return (
+            f"Nobody measured the velocities of {self.said}: they are differences of the positions. {alone} "
+            "velocities, too, or positions at a higher rate."
+        )
 
     @classmethod
     def of(cls, model: mujoco.MjModel, dataset: Dataset) -> Differences:

@@ -41,8 +41,8 @@ def summary(
 ) -> list[str]:
     """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on.
 
-    `closest` is the effect that would shrink the gap most, proven or not; `computed` names the joints whose velocities
-    nobody measured; `encoders` says of joints at rest how they read, as in "0.002 rad too high".
+    `closest` is the effect that would shrink the gap most, proven or not; `computed` says which velocities
+    do not count; `encoders` says of joints at rest how they read, as in "0.002 rad too high".
     """
     lines = [_first(verdict, gap)]
     if verdict != "no_gap" and where and where[0].share > 0:
@@ -93,11 +93,7 @@ def summary(
             "otherwise, such as contact, another joint, noise of the commands, time stamps."
         )
     if computed:
-        lines.append(
-            f"Nobody measured the velocities of {computed}: they are differences of the positions. What counts is the "
-            "positions alone, whatever velocity a window begins with, and that shows less: record velocities, too, or "
-            "positions at a higher rate."
-        )
+        lines.append(computed)
     lines += [
         f"While it rests, {joint} reads {error}, within half a step of its encoder: that was taken out of the "
         "recordings first."
