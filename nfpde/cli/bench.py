@@ -131,7 +131,7 @@ def gap(
     from nfpde.bench.gap import run as bench
 
     if draw_only:
-        folder = folder or Path("runs") / f"gap-{seed}{'' if kind is None else '-' + kind}"
+        folder = folder or bench.default_folder(seed, kind)
         cases = min(cases, bench.QUICK_CASES) if quick else cases
         bench.draw_only(seed, folder / "systems", folder / "keys", cases=cases, kind=kind)
         return

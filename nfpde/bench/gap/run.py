@@ -78,12 +78,10 @@ def run(
     if kind is not None and kind not in KINDS:
         raise BadInput(f"there is no kind {kind!r} of systems; there are: {', '.join(KINDS)}")
     device = "cpu" if device == "auto" else device
-    folder = folder or Path("runs") / f"gap-{seed}{'' if kind is None else '-' + kind}"
+    folder = folder or default_folder(seed, kind)
     cases = min(cases, QUICK_CASES) if quick else cases
     facts = _facts(seed, limit, device) | {"kind": kind, "diagnosis": list(command[1:])}
-    name = (
-        "gap" + (f"_{kind}" if kind else "") + (f"_{device}" if device != "cpu" else "") + ("_quick" if quick else "")
-    )
+    name = "_".join(["gap", *([kind] if kind else []), *([device] if device != "cpu" else []), *(["quick"] * quick)])
     kept = kept_rows(out / f"{name}.json", facts)
     settings = {"seed": seed, "kind": kind, "limit": limit, "command": list(command)}
     folder.mkdir(parents=True, exist_ok=True)
@@ -109,6 +107,11 @@ def run(
             f"the benchmark stopped; {len(rows)} of {total} systems are finished, from which the same call goes on"
         )
     return rows
+
+
+def default_folder(seed: int, kind: str | None) -> Path:
+    """Where the systems of a seed, all of one kind or as they come, are kept."""
+    return Path("runs") / (f"gap-{seed}" if kind is None else f"gap-{seed}-{kind}")
 
 
 def _row(case: Case) -> Row:
