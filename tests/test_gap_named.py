@@ -5,12 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from nfpde.effects import effect
 from nfpde.gap.fit import Fitter
+from nfpde.gap.found import Found, surely
 from nfpde.gap.levels import Yardstick
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.search import _looking_again
+from nfpde.gap.trial import LEVEL, Court, Trial
 from tests.gap_straight import ByGain
+from tests.gap_systems import record
 
 ANYTHING: Any = None
 
@@ -183,3 +187,62 @@ def test_a_sure_effect_is_named_beside_a_better_fit_that_is_not_sure():
     assert found is not None
     assert found[1].effect is damping
     assert selection.accept(base, [lucky], selection._gap(base)) is None
+
+
+def test_later_looks_ask_for_more():
+    """A gain that is sure at one level of probability is none at half of it."""
+    rng = np.random.default_rng(12)
+    noise = rng.normal(size=(40, 2, 4))
+    court = Court(np.arange(40) // 4, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
+    selection = ByGain(ANYTHING, None, 1, court, [], yardstick=Yardstick(np.ones((2, 4)), noise[None]))
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    of_blocks = rng.normal(size=10)
+    of_blocks = 1.0 + 0.75 * (of_blocks - of_blocks.mean()) / of_blocks.std(ddof=1)
+    base, better = trial(None, np.zeros(40), 3.0 * noise), trial(friction, np.repeat(of_blocks, 4), 2.0 * noise)
+    # Wilcoxon gives about as much; twice for two tests, and twice for the slope, which says nothing
+    p = 4.0 * float(student.sf(np.sqrt(10) / 0.75, 9))
+    assert selection.accept(base, [better], 9.0, 1.3 * p) is not None
+    assert selection.accept(base, [better], 9.0, 0.7 * p) is None
+    assert selection.accept(base, [better, better], 9.0, 1.3 * p) is None
+
+
+def test_all_looks_together_have_one_level():
+    """However many there are."""
+    selection, spent = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING), 0.0
+    assert selection.level == LEVEL
+    for _ in range(20):
+        selection = _looking_again(selection)
+        spent += selection.level
+    assert spent == pytest.approx(LEVEL, rel=1e-5)
+    assert spent < LEVEL
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.5, True), (1.0, False), (1.2, False)])
+@pytest.mark.parametrize("joints", [True, False])
+def test_what_leaves_the_gap_beside_contacts_is_nothing(left, named, joints):
+    """By all joints, or by those that told it; in smooth motion tests are exact, and what they say stands."""
+    rng = np.random.default_rng(13)
+    noise = rng.normal(size=(40, 2, 4))
+
+    def stage(gap):
+        base: Any = trial(None, np.zeros(40), noise)
+        windows: Any = SimpleNamespace(fit=data.windows(2, stride=1)[np.arange(40)], block=np.arange(40) // 4)
+        shown = trial(None, np.zeros(40), gap * rng.permutation(noise))
+        made: Any = SimpleNamespace(
+            base=base,
+            recordings=windows,
+            yardstick=Yardstick(np.ones((2, 4)), noise[None]),
+            shown=lambda *_, **__: shown,
+        )
+        return made, shown
+
+    data = record()
+    all_of_them, final = stage(1.0 if joints else left)
+    by = stage(left)[0] if joints else None
+    for sigma, stands in ((np.ones(4), named), (None, True)):
+        chosen = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=sigma)
+        effects: Any = ["effect"]
+        found = surely(all_of_them, Found(ANYTHING, ANYTHING, chosen, final, effects, False, by), 0)
+        assert found.accepted == (effects if stands else [])
+        assert found.final is (final if stands else all_of_them.base)
+        assert found.by is (by if stands else None)

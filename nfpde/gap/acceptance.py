@@ -59,6 +59,7 @@ class Acceptance(Rounds):
     far: the longest windows, where these are shorter
     last: whether no longer windows follow
     below: whether a first effect is asked for below the floor of noise, though longer windows follow
+    level: probability of accepting an effect where there is none, of this look at the recordings
     """
 
     yardstick: Yardstick
@@ -68,9 +69,17 @@ class Acceptance(Rounds):
     far: Far | None = None
     last: bool = True
     below: bool = False
+    level: float = LEVEL
 
-    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float) -> Chosen | None:
-        """The candidate that the held-out recordings ask for, if they ask for one."""
+    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float, level: float = LEVEL) -> Chosen | None:
+        """The candidate that the held-out recordings ask for, if they ask for one.
+
+        Args:
+            current: The model without them.
+            trials: The candidates, refitted.
+            first_gap: Of the parameters alone.
+            level: Probability of accepting one where there is nothing; of one that was accepted before, the whole.
+        """
         gap = self.gap_of(current)
         near_noise = self.sigma is not None and gap * (1 - CLOSED) < self.floor(current)
         # a first effect near the noise may be small, as noise is asked what it gives; beside another, or far from the
@@ -78,7 +87,7 @@ class Acceptance(Rounds):
         alone = near_noise and not current.fit.replay.effects
         worthy = [t for t in trials if self.shrinks(t, current, first_gap) or (alone and self.lessens(t, current))]
         # each is tested at its share of the level: any that passes has been asked for
-        gains = {t: g for t in worthy for g in (self._gain(t, current, LEVEL / len(trials)),) if g > 0}
+        gains = {t: g for t in worthy for g in (self._gain(t, current, level / len(trials)),) if g > 0}
         doubted = self.sigma if near_noise else None
 
         def stands(trial: Trial) -> bool:

@@ -16,6 +16,7 @@ from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
+from nfpde.gap.found import surely
 from nfpde.gap.halves import FEWEST
 from nfpde.gap.late import believed
 from nfpde.gap.recall import Recall
@@ -106,6 +107,7 @@ def diagnose_gap(
     search = replace(search, dataset=dataset)
     check_fit(start, dataset, search.cut(), guesses[0])
     stage, found = search.run()
+    found = surely(stage, found, seed)
     report("where, and what is left")
     final, accepted, selection = found.final, found.accepted, found.selection
     rows, encoders = found.recordings.rows, found.recordings.encoders

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.halves import HeldOut
-from nfpde.gap.recordings import Recordings
+from nfpde.gap.levels import shrink_interval
+from nfpde.gap.recordings import Recordings, blocks_of
 from nfpde.gap.select import Selection
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Trial
@@ -57,17 +58,42 @@ class Earlier:
     early: whether windows start in the first rows of episodes, too
     misjudged: by how much the noise of the sensors is, see `Stage`
     xi: the fitted parameters, which were looked for all over their bounds (D,)
+    level: of its last look, see `Acceptance`
     """
 
     halves: HeldOut | None
     early: bool
     misjudged: Array | float
     xi: Array
+    level: float
 
     @classmethod
     def of(cls, found: Found) -> Earlier:
         """Of a search that found nothing."""
-        return cls(found.halves, found.early, found.near.misjudged, found.near.base.fit.xi)
+        return cls(found.halves, found.early, found.near.misjudged, found.near.base.fit.xi, found.selection.level)
+
+
+def surely(stage: Stage, found: Found, seed: int) -> Found:
+    """What was found, or nothing where it is not sure that less of the gap is left with it than without.
+
+    Beside contacts what noise does to densities is known by simulation only, as far as its model holds; a fault that
+    has an effect of any size has one on the gap. Windows of both halves count, as it may act in few of them.
+
+    Args:
+        stage: The windows on which the gap is measured.
+        found: On them.
+        seed: Of the draws of blocks.
+    """
+    if found.selection.sigma is None or not found.accepted:
+        return found
+    by, after = stage, found.final
+    if found.by is not None:
+        by, after = found.by, found.by.shown(found.final, refitted=False)
+    gaps = [np.concatenate([by.yardstick.gap(r) for r in (t.held, t.fit.residuals)]) for t in (by.base, after)]
+    block = np.concatenate([by.recordings.block, -1 - blocks_of(by.recordings.fit)])
+    if shrink_interval(gaps[0], gaps[1], block, seed)[1] > 0:
+        return found
+    return replace(found, final=stage.base, accepted=[], by=None)
 
 
 def remembers(accepted: Sequence[Accepted]) -> bool:

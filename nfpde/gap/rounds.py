@@ -15,6 +15,7 @@ from nfpde.gap.fit import Fit
 from nfpde.gap.recall import Recall
 from nfpde.gap.refit import refit
 from nfpde.gap.replay import Replay
+from nfpde.gap.rounding import is_rounding
 from nfpde.gap.screen import Screened, screen
 from nfpde.gap.trial import GLANCED, LEAST_GAIN, MOST_SCREENED, SCREENED, Court, Trial
 from nfpde.gap.twins import find_twins
@@ -96,7 +97,10 @@ class Rounds:
         return [(e, values) for e, values in asked if e.whole != "contact"] if self.untouched else asked
 
     def _refit(self, base: Fit, screened: Sequence[Screened]) -> list[Trial]:
-        return refit(self.court, base, screened, touches=self._touches)
+        """Candidates refitted, but those that do what encoders round away."""
+        windows, encoders = self.court.fitter.windows, self.court.encoders
+        trials = refit(self.court, base, screened, touches=self._touches)
+        return [t for t in trials if t.effect is None or not is_rounding(t.effect, t.fit, windows, encoders)]
 
     @property
     def _touches(self) -> bool:

@@ -23,7 +23,7 @@ from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.touching import free_dofs
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.trial import LEVEL, Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,10 @@ class Search:
         self.report("noise of the sensors")
         share = None if self.before is None else self.before.misjudged
         first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=share)
-        selection = replace(self.select(first), last=len(lengths) == 1)
+        level = LEVEL if self.before is None else self.before.level
+        selection = replace(self.select(first), last=len(lengths) == 1, level=level)
+        if self.touches:
+            selection = _looking_again(selection)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
         hidden = whole and self.before is None and self._in_noise(first, lengths[-1], selection)
@@ -182,7 +185,7 @@ class Search:
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
-            selection = replace(selection, last=longer is lengths[-1], below=False)
+            selection = replace(_looking_again(selection), last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, lead == 0, halves=held, every=hidden)
 
@@ -225,7 +228,7 @@ class Search:
         over = replace(found, selection=selection, final=final, accepted=accepted)
         if selection.stands_out(final):
             self.report("joints that stand out over longer windows")
-            asked = replace(selection, last=True, untouched=True)
+            asked = replace(_looking_again(selection), last=True, untouched=True)
             near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
             selection.steps = asked.steps
             if len(more) > len(accepted):
@@ -246,7 +249,7 @@ class Search:
             return found
         self.report("joints that touch nothing")
         by = self.after(stage, found.recordings, None, look=False, dofs=dofs)
-        asked = replace(found.selection, last=True, untouched=True, ranking=[])
+        asked = replace(_looking_again(found.selection), last=True, untouched=True, ranking=[])
         by, asked, final, accepted = self._select(by, asked)
         selection = replace(found.selection, steps=asked.steps)
         found = replace(found, selection=selection)
@@ -344,6 +347,11 @@ class Search:
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings, self.most) if self.touches else []) or [recordings]
+
+
+def _looking_again(selection: Selection) -> Selection:
+    """A selection for another look at the recordings: each has half the level of the one before, all together one."""
+    return replace(selection, level=selection.level / 2)
 
 
 def _moved(selection: Selection, near: Stage) -> Selection:

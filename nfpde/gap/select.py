@@ -66,7 +66,7 @@ class Selection(Acceptance):
                 break  # about what is left, on shorter windows
             self.report(f"screening for effect {len(accepted) + 1}")
             trials = self.refitted(current, [a.effect for a in accepted])
-            found = self.accept(current, trials, first_gap)
+            found = self.accept(current, trials, first_gap, self.level)
             idle = None if found is None else self._idle(found[0], current, first_gap)
             if found is not None and idle is None and self._asks_for_twins(found[0]):
                 first = found[0]
@@ -119,7 +119,7 @@ class Selection(Acceptance):
             before = key(found[1].effect)
             more = self.twins(current, found[0], trials, [a.effect for a in accepted])
             trials = sorted([*trials, *more], key=lambda t: -float(t.density.mean()))
-            found = self.accept(current, trials, first_gap) or found
+            found = self.accept(current, trials, first_gap, self.level) or found
             if key(found[1].effect) == before:
                 break
         return trials, found
