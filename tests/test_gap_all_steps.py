@@ -13,6 +13,7 @@ from nfpde.gap.brief import EVERY, brief
 from nfpde.gap.found import Earlier
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.search import Search
+from nfpde.gap.trial import LEVEL
 from tests.test_gap_again import ANYTHING, SOFT, Leaving
 from tests.test_gap_contacts import pushes
 
@@ -75,7 +76,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
             return False
 
         def _select(self, near, selection, earlier=None, *, further=False) -> Any:
-            searched.append((near.recordings, selection.below))
+            searched.append((near.recordings, selection.below, selection.level))
             return near, selection, SimpleNamespace(fit=ANYTHING), found
 
     def select(near: Any) -> Any:
@@ -84,15 +85,17 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
     data: Any = SimpleNamespace(control_dt=0.01)
     search = Asking(ANYTHING, data, [(SOFT, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, select, lambda what: None)
     if again:
-        search = replace(search, before=Earlier(None, False, 1.0, np.zeros(0)))
+        search = replace(search, before=Earlier(None, False, 1.0, np.zeros(0), LEVEL / 4))
     found_there = search._run(early=None)
     assert found_there.every is every  # then nothing is left to look at once more
     some, all_steps = (brief(recordings, *most) for most in ((), (EVERY,)))
     assert len(some[0].fit) < len(all_steps[0].fit)
     assert len(some) == 3
     lengths = (all_steps[::2] if every else some)[: None if longer else 1]
-    assert [below for _, below in searched] == [every] + [False] * (len(lengths) - 1)
-    assert [(s.horizons, len(s.fit)) for s, _ in searched] == [(s.horizons, len(s.fit)) for s in lengths]
+    assert [below for _, below, _ in searched] == [every] + [False] * (len(lengths) - 1)
+    first = LEVEL / (8 if again else 2)
+    assert [level for *_, level in searched] == [first / 2**look for look in range(len(lengths))]
+    assert [(s.horizons, len(s.fit)) for s, *_ in searched] == [(s.horizons, len(s.fit)) for s in lengths]
 
 
 @pytest.mark.parametrize(("below", "last", "accepted", "nothing"), [

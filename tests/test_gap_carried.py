@@ -115,7 +115,7 @@ class Again(Selection):
         self.refits = [t.effect for t in trials]
         return []
 
-    def accept(self, current, trials, first_gap):
+    def accept(self, current, trials, first_gap, level=0.0):
         return None
 
 
@@ -254,7 +254,7 @@ class Deeper(Stuck):
     def gap_of(self, trial) -> Any:
         return self.gaps[trial]
 
-    def accept(self, current, trials, first_gap) -> Any:
+    def accept(self, current, trials, first_gap, level=0.0) -> Any:
         return self.accepts
 
 
