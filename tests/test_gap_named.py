@@ -17,6 +17,7 @@ from tests.gap_straight import ByGain
 from tests.gap_systems import record
 
 ANYTHING: Any = None
+BLOCK = np.arange(40) // 4
 
 
 def trial(effect, density, residuals):
@@ -217,32 +218,44 @@ def test_all_looks_together_have_one_level():
     assert spent < LEVEL
 
 
-@pytest.mark.parametrize(("left", "named"), [(0.5, True), (1.0, False), (1.2, False)])
-@pytest.mark.parametrize("joints", [True, False])
-def test_what_leaves_the_gap_beside_contacts_is_nothing(left, named, joints):
-    """By all joints, or by those that told it; in smooth motion tests are exact, and what they say stands."""
-    rng = np.random.default_rng(13)
-    noise = rng.normal(size=(40, 2, 4))
+@pytest.mark.parametrize(
+    ("left", "there", "named"),
+    [
+        ((0.5, 0.5), None, True),
+        ((1.0, 1.0), None, False),
+        ((1.2, 1.2), None, False),
+        ((1.0, 0.3), None, True),  # it acts in windows that were fitted only
+        ((1.0, 1.0), (0.5, 0.5), True),
+        ((1.0, 1.0), (1.0, 0.3), False),
+        ((1.2, 0.5), (0.5, 0.5), False),  # worse of all joints
+    ],
+)
+def test_what_leaves_the_gap_beside_contacts_is_nothing(left, there, named):
+    """By all joints, or by those that told it (`there`); in smooth motion tests are exact, and what they say stands.
 
-    def stage(gap):
-        base: Any = trial(None, np.zeros(40), noise)
-        windows: Any = SimpleNamespace(fit=data.windows(2, stride=1)[np.arange(40)], block=np.arange(40) // 4)
-        shown = trial(None, np.zeros(40), gap * rng.permutation(noise))
+    What is left, as a share of the residuals: of windows held out, and of those that were fitted.
+    """
+    rng = np.random.default_rng(13)
+    noise, data = rng.normal(size=(40, 2, 4)), record()
+
+    def stage(held, fitted):
+        fit: Any = SimpleNamespace(residuals=fitted * rng.permutation(noise))
+        after = Trial(None, fit, np.zeros(40), held * rng.permutation(noise), np.zeros(40))
+        windows = SimpleNamespace(fit=data.windows(2, stride=1)[np.arange(40)], block=BLOCK)
         made: Any = SimpleNamespace(
-            base=base,
+            base=trial(None, np.zeros(40), noise),
             recordings=windows,
             yardstick=Yardstick(np.ones((2, 4)), noise[None]),
-            shown=lambda *_, **__: shown,
+            shown=lambda *_, **__: after,
         )
-        return made, shown
+        return made, after
 
-    data = record()
-    all_of_them, final = stage(1.0 if joints else left)
-    by = stage(left)[0] if joints else None
+    every, final = stage(*left)
+    by = None if there is None else stage(*there)[0]
+    effects: Any = ["effect"]
     for sigma, stands in ((np.ones(4), named), (None, True)):
         chosen = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=sigma)
-        effects: Any = ["effect"]
-        found = surely(all_of_them, Found(ANYTHING, ANYTHING, chosen, final, effects, False, by), 0)
+        found = surely(every, Found(ANYTHING, ANYTHING, chosen, final, effects, False, by), 0)
         assert found.accepted == (effects if stands else [])
-        assert found.final is (final if stands else all_of_them.base)
+        assert found.final is (final if stands else every.base)
         assert found.by is (by if stands else None)
