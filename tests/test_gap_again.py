@@ -134,7 +134,7 @@ def test_what_was_asked_of_some_halves_is_not_asked_of_others(kept, monkeypatch)
     search = Choosing(ANYTHING, data, [], np.zeros((1, 0)), 40, 0, lambda stage: chosen, lambda what: None)
     assert search._run(early=False).halves == "halves alike"
     assert cuts[-1] == "halves alike"
-    before: Any = SimpleNamespace(halves=kept, early=False, misjudged=NEAR.misjudged, xi=np.zeros(0))
+    before: Any = SimpleNamespace(halves=kept, early=False, misjudged=NEAR.misjudged, xi=np.zeros(0), level=0.0)
     cuts.clear()
     assert replace(search, before=before)._run(early=False).halves == kept
     assert {held for held in cuts if held} == ({kept} if kept else set())
