@@ -27,7 +27,7 @@ class Numbered(Selection):
 
     removes = (0.0,)
 
-    def _linear(self, trial: Any, *, fitted) -> Any:
+    def linear(self, trial: Any, *, fitted) -> Any:
         return SimpleNamespace(effects=trial.effects, linear=fitted)
 
     def without(self, trial: Any, index) -> Any:
@@ -156,7 +156,7 @@ class Asking(Selection):
     def _carried(self, base, trial, accepted, first_gap):
         return trial, accepted
 
-    def _linear(self, trial: Any, *, fitted) -> Any:
+    def linear(self, trial: Any, *, fitted) -> Any:
         return trial
 
 

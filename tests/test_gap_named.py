@@ -259,3 +259,35 @@ def test_what_leaves_the_gap_beside_contacts_is_nothing(left, there, named):
         assert found.accepted == (effects if stands else [])
         assert found.final is (final if stands else every.base)
         assert found.by is (by if stands else None)
+
+
+@pytest.mark.parametrize(
+    ("away", "left", "named"),
+    [
+        (2.1, 0.995, True),
+        (-2.1, 0.995, True),
+        (1.8, 0.995, False),
+        (1.8, 0.95, True),  # a tenth of the gap is worth a name
+        (2.1, 1.0, False),  # none of it is not
+    ],
+)
+def test_what_shrinks_the_gap_too_little_for_a_name_must_differ_from_nothing(away, left, named, monkeypatch):
+    """A factor so many standard errors from one, that leaves this share of every residual; its neighbour is sure."""
+    noise = np.random.default_rng(14).normal(size=(40, 2, 4))
+    scale, bias = effect("sensor_scale", "bend", scale=(0.5, 2.0)), effect("actuator_bias", "bend", offset=(-1.0, 1.0))
+    replay = SimpleNamespace(effects=(scale, bias), columns=lambda i: slice(i + 1, i + 2))
+    fit: Any = SimpleNamespace(residuals=left * noise, replay=replay, xi=np.array([5.0, 1.0 + 0.01 * away, 0.5]))
+    final = Trial(None, fit, np.zeros(40), left * noise, np.zeros(40))
+    errors = np.array([9.0, 0.01, 0.01])
+    monkeypatch.setattr("nfpde.gap.found.standard_errors", lambda court, fit: errors)
+    near: Any = SimpleNamespace(
+        base=trial(None, np.zeros(40), noise),
+        court=SimpleNamespace(fitter=SimpleNamespace(resolved=lambda fit: fit)),
+        recordings=SimpleNamespace(fit=record().windows(2, stride=1)[np.arange(40)], block=BLOCK),
+        yardstick=Yardstick(np.ones((2, 4)), noise[None]),
+        shown=lambda trial, refitted: trial,
+    )
+    chosen = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(4))
+    effects: Any = ["scale", "bias"]
+    found = surely(near, Found(ANYTHING, near, chosen, final, effects, False), 0)
+    assert bool(found.accepted) is named

@@ -179,7 +179,7 @@ def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, r
     """Where early windows brought up an effect of earlier commands, the search is run again without; steps add up."""
     said: list[str] = []
     late: Any = [(effect(name, "bend", **values), np.zeros((1, 1)))]
-    select: Any = lambda stage: SimpleNamespace(steps=7)  # noqa: E731
+    select: Any = lambda stage: SimpleNamespace(steps=7, sigma=np.zeros(1))  # noqa: E731
     _, found = Rerun(ANYTHING, ANYTHING, late, np.zeros((1, 0)), 8, 0, select, said.append).run()
     assert said == runs
     assert found.early is (len(runs) == 1)

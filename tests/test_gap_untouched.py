@@ -120,7 +120,7 @@ class Standing(Selection):
     def _converged(self, fit: Any) -> Any:
         return "with more"
 
-    def _linear(self, trial, *, fitted):
+    def linear(self, trial, *, fitted):
         return trial
 
     def _pruned(self, current, accepted, first_gap, carried=()):

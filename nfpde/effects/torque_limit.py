@@ -19,6 +19,12 @@ _FREE = 1e12
 _ABOVE = 4.0
 """The highest limit that is tried, in largest torques: nothing would reach it, were the model right."""
 
+_BELOW = 0.02
+"""The lowest, in typical torques: a servo that is far from its goal asks for many times what its motor has."""
+
+_MUCH = 0.5
+"""The lowest that is screened, in typical torques."""
+
 
 @register
 class TorqueLimit(Effect):
@@ -37,16 +43,16 @@ class TorqueLimit(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """From a tenth of the typical torque at the joint to several times the largest."""
+        """From next to none of the typical torque at the joint to several times the largest."""
         if element < 0 or driven_joint(model, element) < 0:
             return None
         typical, peak = torque_scales(model, element, scales)
-        return {"limit": (0.1 * typical, _ABOVE * peak)} if typical > 0 else None
+        return {"limit": (_BELOW * typical, _ABOVE * peak)} if typical > 0 else None
 
     def screened(self, scales: DataScales) -> Array:
         """Limits from one that cuts off much, always, to one that cuts off little of the largest torque, seldom."""
         low, high = self.parameters[0].low, self.parameters[0].high
-        return np.geomspace(5 * low, 0.95 / _ABOVE * high, 6)[:, None]
+        return np.geomspace(_MUCH / _BELOW * low, 0.95 / _ABOVE * high, 6)[:, None]
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`; the actuators must act on joints with a limited force range or none.

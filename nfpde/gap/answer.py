@@ -14,7 +14,7 @@ from nfpde.effects import LINEAR, Effect, slides
 from nfpde.elements import element_names
 from nfpde.gap.acceptance import CLOSED
 from nfpde.gap.accepted import Accepted, called, key
-from nfpde.gap.certainty import standard_errors
+from nfpde.gap.certainty import INTERVAL, standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
 from nfpde.gap.inertia import follows
@@ -340,7 +340,7 @@ def _fitted(fit: Fit, errors: Array, columns: slice, names: list[str]) -> dict[s
     for i, (name, p) in enumerate(zip(names, replay.parameters[columns], strict=True)):
         value, low, high = float(fit.xi[columns][i]), p.low, p.high
         margin = 1e-3 * (high - low)
-        span = 1.96 * float(error[i])
+        span = INTERVAL * float(error[i])
         leans = value < low + margin or value > high - margin
         out[name] = Fitted(value, max(low, value - span), min(high, value + span), p.unit or "-", leans)
     return out

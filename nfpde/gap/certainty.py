@@ -15,6 +15,9 @@ from nfpde.gap.trial import Court
 
 Array = NDArray[np.float64]
 
+INTERVAL = 1.96
+"""Half the width of a 95 % interval, in standard errors."""
+
 NEAREST = 0.5
 """Distance from the fit, in the standard errors that slopes foretell, from which it is doubled."""
 

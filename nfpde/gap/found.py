@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nfpde.gap.acceptance import WORTH
 from nfpde.gap.accepted import Accepted
+from nfpde.gap.certainty import INTERVAL, standard_errors
 from nfpde.gap.halves import HeldOut
 from nfpde.gap.levels import shrink_interval
 from nfpde.gap.recordings import Recordings, blocks_of
@@ -77,9 +79,10 @@ def surely(stage: Stage, found: Found, seed: int) -> Found:
     """What was found, or nothing where it is not sure that less of the gap is left with it than without.
 
     Beside contacts what noise does to densities is known by simulation only, as far as its model holds; a fault that
-    has an effect of any size has one on the gap. Windows of both halves count, as it may act in few of them. What
-    joints that touch nothing told alone adds up in all of them: there it must be sure in the half that no fit saw, in
-    which it must not surely leave more of all joints.
+    has an effect of any size has one on the gap. Windows of both halves count, as it may act in few of them. Where that
+    is not surely worth a name, its values must differ surely from none at all. What joints that touch nothing told
+    alone adds up in all of them: there it must be sure in the half that no fit saw, in which it must not surely leave
+    more of all joints.
 
     Args:
         stage: The windows on which the gap is measured.
@@ -99,11 +102,27 @@ def surely(stage: Stage, found: Found, seed: int) -> Found:
         return shrink_interval(gaps[0], gaps[1], block, seed)[1:]
 
     if found.by is None:
-        stands = shrinks(stage, found.final, both=True)[0] > 0
+        least = shrinks(stage, found.final, both=True)[0]
+        stands = least >= WORTH or (least > 0 and _differs(found))
     else:
         there = found.by.shown(found.final, refitted=False)
         stands = shrinks(found.by, there, both=False)[0] > 0 and shrinks(stage, found.final, both=False)[1] >= 0
     return found if stands else replace(found, final=stage.base, accepted=[], by=None)
+
+
+def _differs(found: Found) -> bool:
+    """Whether of every accepted effect a value differs from where it does nothing by more than its 95 % interval."""
+    court = found.near.court
+    fit = court.fitter.resolved(found.near.shown(found.final, refitted=False).fit)
+    errors, replay = standard_errors(court, fit), fit.replay
+    return all(
+        any(
+            abs(fit.xi[at] - quantity.neutral) > INTERVAL * errors[at]
+            for at, quantity in enumerate(effect.quantities, replay.columns(i).start)
+            if not quantity.shape_only
+        )
+        for i, effect in enumerate(replay.effects)
+    )
 
 
 def remembers(accepted: Sequence[Accepted]) -> bool:

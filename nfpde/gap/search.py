@@ -18,6 +18,7 @@ from nfpde.gap.fit import Fit
 from nfpde.gap.found import Earlier, Found, remembers
 from nfpde.gap.halves import HeldOut, alike_halves
 from nfpde.gap.recordings import LEAD, WINDOW_TIME, Recordings, cut_recordings, joined
+from nfpde.gap.remembered import with_remembered
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
@@ -118,13 +119,13 @@ class Search:
         """Search; windows at the beginning of episodes count where they show most.
 
         What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
-        most for that reason, and the search is run again without them.
+        most for that reason, and the search is run again without them, see `with_remembered`.
         """
         found = self._run(early=None if self.before is None else self.before.early)
         if found.early and found.remembers:
             again, steps = self._run(early=False), found.selection.steps
             again.selection.steps += steps
-            return again
+            return with_remembered(found, again)
         return found
 
     def _run(self, *, early: bool | None) -> Found:

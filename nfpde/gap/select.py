@@ -77,7 +77,7 @@ class Selection(Acceptance):
                 break
             if idle is not None:
                 if not accepted:
-                    return self._linear(idle, fitted=True), []
+                    return self.linear(idle, fitted=True), []
                 current = idle
                 continue
             current, new = found
@@ -87,7 +87,7 @@ class Selection(Acceptance):
                 current, accepted = self._second_look(current, accepted, first_gap)
         if len(accepted) > 1:
             current, accepted = self._pruned(current, accepted, first_gap, carried)
-        return (self._linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
+        return (self.linear(current, fitted=len(accepted) < 2) if accepted else current), accepted
 
     def _nothing_left(self, current: Trial, accepted: Sequence[Accepted]) -> bool:
         """Whether what is left is not worth a search.
@@ -189,7 +189,7 @@ class Selection(Acceptance):
             if gaps[index] >= (1 - WORTH) * self.gap_of(found) - FLOOR_ERROR:
                 break
             found, accepted = smaller[index], [a for i, a in enumerate(accepted) if i != index]
-        return (found if found in (trial, base) else self._linear(found, fitted=True)), accepted
+        return (found if found in (trial, base) else self.linear(found, fitted=True)), accepted
 
     def _idle(self, trial: Trial, current: Trial, first_gap: float) -> Trial | None:
         """The same place without the last effect, refitted, where that effect does nothing: others had been stuck.
@@ -209,7 +209,7 @@ class Selection(Acceptance):
         deeper = current.fit.cost - found.fit.cost >= LEAST_GAIN and self.gap_of(found) < self.gap_of(current)
         return found if deeper and self.accept(found, [trial], first_gap) is None else None
 
-    def _linear(self, trial: Trial, *, fitted: bool) -> Trial:
+    def linear(self, trial: Trial, *, fitted: bool) -> Trial:
         """The trial with slopes at its place, after a fit to the end unless it is fitted already."""
         fit = self.court.fitter.linearise(trial.fit if fitted else self.court.converged(trial.fit))
         self.count(fit.replay)
