@@ -12,6 +12,7 @@ from nfpde.gap.fit import Fitter
 from nfpde.gap.found import Found, surely
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.search import _looking_again
+from nfpde.gap.select import Selection
 from nfpde.gap.trial import LEVEL, Court, Trial
 from tests.gap_straight import ByGain
 from tests.gap_systems import record
@@ -205,6 +206,29 @@ def test_later_looks_ask_for_more():
     assert selection.accept(base, [better], 9.0, 1.3 * p) is not None
     assert selection.accept(base, [better], 9.0, 0.7 * p) is None
     assert selection.accept(base, [better, better], 9.0, 1.3 * p) is None
+
+
+class BySlope(Selection):
+    """A selection to which slopes of the windows say yes, whatever they are asked."""
+
+    def slope(self, trial, current):
+        return 0.0
+
+
+@pytest.mark.parametrize("contacts", [True, False])
+def test_slopes_are_not_asked_beside_contacts(contacts, monkeypatch):
+    """A candidate that gains a tenth of a standard error of its gains: the slope alone can speak for it."""
+    monkeypatch.setattr("nfpde.gap.acceptance.noise_of", lambda *a: noise[None])
+    rng = np.random.default_rng(15)
+    noise, of_blocks = rng.normal(size=(40, 2, 4)), rng.normal(size=10)
+    of_blocks += 0.1 * of_blocks.std(ddof=1) / np.sqrt(10) - of_blocks.mean()
+    court = Court(BLOCK, ANYTHING, Fitter(ANYTHING, (1,)), np.zeros((2, 4)), np.zeros(0), ANYTHING)
+    yardstick, sigma = Yardstick(np.ones((2, 4)), noise[None], 0.0), np.ones(4) if contacts else None
+    selection = BySlope(ANYTHING, None, 1, court, [], yardstick=yardstick, sigma=sigma)
+    friction = effect("coulomb_friction", "elbow", torque=(0.0, 1.0))
+    base, better = trial(None, np.zeros(40), 30 * noise), trial(friction, np.repeat(of_blocks, 4), 20 * noise)
+    found = selection.accept(base, [better], 900.0)
+    assert (found is None) is contacts
 
 
 def test_all_looks_together_have_one_level():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.chart import evenly
+from nfpde.gap.ends import at_ends
 from nfpde.gap.erring import misjudged
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.levels import CAPPED, Yardstick, calm, near_floor
@@ -214,7 +215,8 @@ def in_noise(
     fitter, moved = court.fitter, court.fitter.moved(base.fit.replay)
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
-    found = fitter.linearise(court.converged(fitter.rescale(found, court.scatter(found))))
+    found = court.converged(fitter.rescale(found, court.scatter(found)))
+    found = fitter.linearise(at_ends(court, found) if court.capped else found)
     base = court.judge(None, found)
     nominal = court.held.residuals_at(found.replay, court.nominal[None])[0]
     yardstick = Yardstick.of(noise, base.held, court.capped, precision_of(moved))
