@@ -39,6 +39,9 @@ __all__ = ["EmdResult", "Metric", "Plan", "emd", "emd_matrix", "wasserstein"]
 Metric = Literal["euclidean", "sqeuclidean", "cityblock"]
 _METRICS = ("euclidean", "sqeuclidean", "cityblock")
 
+#: What coordinates lose where others are far away is nothing beside a cost above this one.
+_BLURRED = 1e-270
+
 #: Whole numbers below this one are floats.
 _LARGEST_WHOLE = 2.0**53
 
@@ -137,7 +140,8 @@ def emd_matrix(
     """Solves the transport problem for a given cost matrix.
 
     Args:
-        cost: Cost of each pair, (n, m), finite; negative costs are allowed.
+        cost: Cost of each pair, (n, m), finite; negative costs are allowed. Not copied: no other thread may change
+            it meanwhile.
         a: Masses of the rows, (n,), not negative; None for equal masses.
         b: Masses of the columns, (m,), with the total of a (to 1e-9 relative); None for equal masses.
         threads: Threads that share the passes over all pairs; the answer has the same bits for any number.
@@ -197,7 +201,9 @@ def wasserstein(
     weights_a, weights_b = _vector("a", a), _vector("b", b)
     points_x, points_y = _apart(points_x, points_y)
     unit = _unit(points_x, points_y)
+    given_x, given_y = points_x, points_y
     points_x, points_y = points_x / unit, points_y / unit
+    blurred = not (np.array_equal(points_x * unit, given_x) and np.array_equal(points_y * unit, given_y))
     if p in (1, 2):
         metric = "euclidean" if p == 1 else "sqeuclidean"
         result = emd(points_x, points_y, weights_a, weights_b, metric, threads=threads)
@@ -206,9 +212,12 @@ def wasserstein(
         result = _result((len(points_x), len(points_y)), solve, weights_a, weights_b)
     else:
         result = emd_matrix(_powers(points_x, points_y, p), weights_a, weights_b, threads=threads)
-    if result.cost == 0 and not np.array_equal(points_x[result.plan.rows], points_y[result.plan.cols]):
+    moved = not np.array_equal(given_x[result.plan.rows], given_y[result.plan.cols])
+    if blurred and moved and result.cost < _BLURRED:
+        raise BadInput("the distance lies outside the range of numbers beside points that are so far: leave those out")
+    if result.cost == 0 and moved:
         raise BadInput(f"p is {p:g}: at this order the costs of the plan vanish in double precision; lower p")
-    return _within_range((result.cost / _total(weights_a, weights_b)) ** (1 / p) * unit)
+    return _within_range((result.cost / _total(weights_a, weights_b)) ** (1 / p) * unit, zero=not moved)
 
 
 def _points(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -243,7 +252,8 @@ def _vector(name: str, values: ArrayLike | None) -> Floats | None:
 
 def _floats(name: str, values: ArrayLike) -> Floats:
     """A C-contiguous float64 array of real numbers."""
-    if np.ma.is_masked(values):  # what lies under a mask would count
+    parts = values if isinstance(values, list | tuple) else [values]
+    if any(np.ma.is_masked(part) for part in parts):  # what lies under a mask would count
         raise BadInput(f"{name} is masked in part: leave its masked rows out, with their weights")
     try:
         array = np.asarray(values)
@@ -275,9 +285,9 @@ def _threads(threads: int) -> int:
     return int(threads)
 
 
-def _within_range(distance: float) -> float:
-    """A distance that float64 holds."""
-    if not math.isfinite(distance):
+def _within_range(distance: float, *, zero: bool) -> float:
+    """A distance that float64 holds; `zero` says whether it may be none."""
+    if not math.isfinite(distance) or (distance == 0 and not zero):
         raise BadInput("the distance lies outside the range of numbers: rescale the points")
     return distance
 

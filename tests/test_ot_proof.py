@@ -141,6 +141,22 @@ def test_masses_are_the_weights_however_small():
             assert result.cost == pytest.approx(3 * weight, rel=GAP, abs=0)
 
 
+@pytest.mark.parametrize("middle", [((0, 0), (0, 1)), ((0, 0), (1, 0))])
+@pytest.mark.parametrize("lighter", [0.5, 0.9])
+def test_light_points_whose_errors_cancel(middle, lighter):
+    """Light points of both sides at both ends of a line: what the one lacks the other has, an end apart.
+
+    By symmetry the middle pays 1, and half of the light mass (a tenth of it) goes from end to end, 2 R at 1 / R each.
+    """
+    e, far = 2.0**-66, 2.0**66
+    ends = [[far, 0.0], [-far, 0.0]]
+    left, right = [1.0, e, lighter * e], [1.0, lighter * e, e]
+    result = emd([middle[0], *ends], [middle[1], *ends], left, right)
+    assert result.cost == pytest.approx(1 + 2 * (1 - lighter), rel=1e-9)
+    cost = _costs(np.array([middle[0], *ends], float), np.array([middle[1], *ends], float), "euclidean")
+    assert emd_matrix(cost, left, right).cost == pytest.approx(1 + 2 * (1 - lighter), rel=1e-9)
+
+
 def test_totals_that_differ_are_one_total_in_proportion():
     """The weights of y count as shares of the total of x, down to the lightest."""
     x, y = [[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 3.0]]

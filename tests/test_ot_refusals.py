@@ -33,6 +33,7 @@ BAD_POINTS = [
     ([[1.0, 2.0, 3.0], [1.0]], Y, "x cannot be read as an array"),
     (torch.ones(4, 3, requires_grad=True), Y, "x cannot be read as an array on the CPU"),
     (np.ma.masked_less(X, np.median(X)), Y, "x is masked in part: leave its masked rows out"),
+    (list(np.ma.masked_less(X, np.median(X))), Y, "x is masked in part: leave its masked rows out"),
 ]
 
 
@@ -92,6 +93,32 @@ def test_largest_numbers():
         with pytest.raises(BadInput, match="outside the range of numbers: rescale the points"):
             wasserstein([[1e308]], [[-1e308]], p)
         assert wasserstein([[0.8e308]], [[-0.8e308]], p) == pytest.approx(1.6e308, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        ([[0.0], [1e300]], [[1e-300], [1e300]]),
+        ([[0.0, 0.0], [1e300, 0.0]], [[0.0, 1e-300], [1e300, 0.0]]),
+        ([[0.0], [4.0]], [[5e-324], [4.0]]),
+    ],
+)
+def test_coordinates_that_vanish_beside_others(x, y):
+    """Points that differ are not one because others are so far that no unit holds both."""
+    with pytest.raises(BadInput, match="outside the range of numbers"):
+        emd(x, y)
+    for p in (1, 2, 3):
+        with pytest.raises(BadInput, match="outside the range of numbers"):
+            wasserstein(x, y, p)
+    assert wasserstein(x, x) == 0
+    far = [[0.0] * len(x[0])] * 2
+    assert emd(x, far).cost == x[1][0] / 2
+
+
+def test_a_distance_that_vanishes_is_no_zero():
+    """A weight of 1e-30 of the total, at 1e-300: no number is as small, and zero would say that nothing moves."""
+    with pytest.raises(BadInput, match="outside the range of numbers"):
+        wasserstein([[0.0], [0.0]], [[0.0], [1e-300]], 1, [1.0, 1e-30], [1.0, 1e-30])
 
 
 def test_matrix():

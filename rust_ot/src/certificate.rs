@@ -2,7 +2,7 @@
 
 use crate::error::OtError;
 use crate::mass::Mass;
-use crate::masses::{Masses, Weights, excess};
+use crate::masses::{Masses, Weights, excess, rounded_away};
 use crate::precise::two_sum;
 
 /// Potentials that satisfy `alpha[i] + beta[j] <= cost[i, j]` for every pair, in scaled units.
@@ -46,8 +46,19 @@ const ROUNDINGS: f64 = 8.0;
 /// plans that differ pass for equally good.
 const DOUBT: f64 = 1e-6;
 
-/// The primal value minus the value of the potentials, for shares of the total mass and scaled costs. `prices` are the
-/// costs of the arcs, `primal` is the sum of masses times prices as shares; weights that are `None` are equal.
+/// The arcs of a plan with their scaled costs, and the sum of masses times these, masses being shares of the total.
+#[derive(Clone, Copy, Debug)]
+pub struct Priced<'a, M> {
+    /// `(row, column, mass)`.
+    pub arcs: &'a [(usize, usize, M)],
+    /// The cost of each.
+    pub prices: &'a [f64],
+    /// What the plan costs.
+    pub primal: f64,
+}
+
+/// The primal value minus the value of the potentials, for shares of the total mass and scaled costs that are at most
+/// `reach` apart; weights that are `None` are equal.
 ///
 /// The two values are nearly equal, and may be far larger than the cost of light points that is to be proven. So the gap is
 /// not their difference, but the sum of what it consists of: mass times reduced cost on the arcs of the plan, and
@@ -58,31 +69,36 @@ const DOUBT: f64 = 1e-6;
 /// last place of the total mass times the largest price: clouds that coincide but for the rounding of their weights cost
 /// no more than that, whatever the plan.
 ///
+/// Potentials tell what a small change of masses costs as long as the plan has masses to change. Those of so few quanta
+/// that most of their weight may be rounding are not among these: what becomes of them may cost whatever any pair costs,
+/// and counts as unproven.
+///
 /// # Errors
 /// `NotOptimal` when the gap is more than it may be.
 pub fn certify<M: Mass>(
-    arcs: &[(usize, usize, M)],
-    prices: &[f64],
-    primal: f64,
+    Priced { arcs, prices, primal }: Priced<'_, M>,
     potentials: &Potentials,
     (a, b): Weights<'_>,
     masses: &Masses<M>,
+    reach: f64,
     excuse: Excuse,
 ) -> Result<f64, OtError> {
     let Potentials { alpha, beta, exact } = potentials;
-    let mut quanta = loss(arcs, prices, alpha, beta);
+    let (mut quanta, mut light) = (loss(arcs, prices, alpha, beta), 0.0);
     if !masses.uniform {
         let (rows, cols) = masses.totals;
         for (side, weights, total, potentials) in [(&masses.rows, a, rows, alpha), (&masses.cols, b, cols, beta)] {
             let equal = vec![1.0; if weights.is_none() { side.len() } else { 0 }];
             quanta += excess(side, weights.unwrap_or(&equal), total, masses.quanta, potentials);
+            light += rounded_away(side, weights.unwrap_or(&equal), total, masses.quanta);
         }
     }
     let gap = quanta * masses.unit;
+    let left = gap.abs() + light * masses.unit * reach;
     let paid: f64 = arcs.iter().zip(prices).map(|(arc, price)| arc.2.to_f64() * masses.unit * price.abs()).sum();
     let farthest = prices.iter().fold(0.0, |most: f64, price| most.max(price.abs()));
     let small = (DOUBT * paid).max(ROUNDINGS * f64::EPSILON * farthest);
-    let proven = gap.abs() <= GAP * primal.abs();
+    let proven = left <= GAP * primal.abs();
     // Nearly always so wherever potentials are counted from: sizes need not be sorted.
     if proven && f64::EPSILON * places(potentials, masses).map(|(p, share)| share * p.abs()).sum::<f64>() <= small {
         return Ok(gap);
@@ -91,15 +107,13 @@ pub fn certify<M: Mass>(
     let doubt = if *exact { 0.0 } else { unit };
     let accepted = match excuse {
         Excuse::Nothing => proven && doubt <= small,
-        Excuse::Rounding => {
-            (proven || gap.abs() <= ROUNDINGS * unit) && (proven && *exact || gap.abs() + doubt <= small)
-        }
-        Excuse::Order => proven || gap.abs() <= ROUNDINGS * unit,
+        Excuse::Rounding => (proven || left <= ROUNDINGS * unit) && (proven && *exact || left + doubt <= small),
+        Excuse::Order => proven || left <= ROUNDINGS * unit,
     };
     if accepted {
         return Ok(gap);
     }
-    let unproven = gap.abs() + doubt;
+    let unproven = left + doubt;
     Err(OtError::NotOptimal(format!(
         "the plan costs {primal:e} but the potentials leave {unproven:e} of it unproven (total mass 1, costs near 1): more \
          than {GAP:e} of the cost, or than rounding may leave ({small:e}); costs or weights of too many sizes decide here: \
@@ -147,7 +161,8 @@ mod tests {
     fn gap(price: f64, size: f64, exact: bool, excuse: Excuse) -> Option<f64> {
         let masses = integer_masses(None, None, 2, 2).unwrap();
         let potentials = Potentials { alpha: vec![size, 0.0], beta: vec![price - size, 0.0], exact };
-        certify(&[(0, 0, 1), (1, 1, 1)], &[price, 0.0], price / 2.0, &potentials, (None, None), &masses, excuse).ok()
+        let plan = Priced { arcs: &[(0, 0, 1), (1, 1, 1)], prices: &[price, 0.0], primal: price / 2.0 };
+        certify(plan, &potentials, (None, None), &masses, 2.0, excuse).ok()
     }
 
     #[test]

@@ -7,7 +7,9 @@
 //! clipped costs, hence not above the true ones either: they prove it optimal for those.
 
 use crate::cost::Cost;
+use crate::error::OtError;
 use crate::merge::Groups;
+use crate::watch::Watch;
 
 /// Another cost, but at most `limit`.
 pub struct Clipped<'a> {
@@ -75,8 +77,14 @@ impl Cost for Clipped<'_> {
         Box::new(Clipped { of: Of::Own(self.of().subset(rows, cols)), limit: self.limit })
     }
 
-    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
-        self.of().nearest(rows, points, among)
+    fn nearest(
+        &self,
+        rows: bool,
+        points: &[usize],
+        among: &[usize],
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Vec<u32>>, OtError> {
+        self.of().nearest(rows, points, among, watch)
     }
 
     fn groups(&self, rows: bool) -> Option<Groups> {

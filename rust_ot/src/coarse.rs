@@ -3,7 +3,7 @@
 use crate::coarse_to_fine::{Optimum, SMALL_SIDE, solve};
 use crate::cost::Cost;
 use crate::error::OtError;
-use crate::scan::Workers;
+use crate::scan::{Workers, blocks, rows_between_questions};
 use crate::simd::{lower_to_difference, vectorized};
 use crate::watch::Watch;
 
@@ -31,8 +31,12 @@ pub fn optimum(
 ) -> Result<(Vec<usize>, Optimum), OtError> {
     let (some_rows, some_cols) = (sample(rows.len(), every), sample(cols.len(), every));
     let part = cost.subset(&some_rows, &some_cols);
-    let regions = || gathered(cost, true, rows, &some_rows).zip(gathered(cost, false, cols, &some_cols));
-    let masses = if share == Share::Region { regions() } else { None };
+    let masses = if share == Share::Region {
+        let regions = gathered(cost, true, rows, &some_rows, watch)?;
+        regions.zip(gathered(cost, false, cols, &some_cols, watch)?)
+    } else {
+        None
+    };
     let (row_masses, col_masses) = masses.unwrap_or_else(|| {
         let pick = |masses: &[i64], kept: &[usize]| kept.iter().map(|&i| masses[i]).collect::<Vec<i64>>();
         balanced(pick(rows, &some_rows), pick(cols, &some_cols))
@@ -42,29 +46,45 @@ pub fn optimum(
 }
 
 /// Negated potentials of all columns from the potentials of some rows: the least `cost - u`.
-#[must_use]
-pub fn extend_to_columns(cost: &dyn Cost, some_rows: &[usize], u: &[f64]) -> Vec<f64> {
+///
+/// # Errors
+/// `Interrupted` or `NotOptimal`, from the watch.
+pub fn extend_to_columns(
+    cost: &dyn Cost,
+    some_rows: &[usize],
+    u: &[f64],
+    watch: &mut Watch<'_>,
+) -> Result<Vec<f64>, OtError> {
     let mut v = vec![f64::INFINITY; cost.cols()];
     let mut row_costs = vec![0.0; cost.cols()];
-    for (&i, &u) in some_rows.iter().zip(u) {
-        cost.fill_row(i, &mut row_costs);
-        vectorized!(lower_to_difference(&mut v, &row_costs, u));
+    for block in blocks(some_rows.len(), rows_between_questions(cost.cols())) {
+        watch.ask()?;
+        for (&i, &u) in some_rows[block.clone()].iter().zip(&u[block]) {
+            cost.fill_row(i, &mut row_costs);
+            vectorized!(lower_to_difference(&mut v, &row_costs, u));
+        }
     }
     v.iter_mut().for_each(|v| *v = -*v);
-    v
+    Ok(v)
 }
 
 /// The masses of the kept points with those of the points nearest to them.
-fn gathered(cost: &dyn Cost, of_rows: bool, masses: &[i64], kept: &[usize]) -> Option<Vec<i64>> {
+fn gathered(
+    cost: &dyn Cost,
+    of_rows: bool,
+    masses: &[i64],
+    kept: &[usize],
+    watch: &mut Watch<'_>,
+) -> Result<Option<Vec<i64>>, OtError> {
     let mut is_kept = vec![false; masses.len()];
     kept.iter().for_each(|&i| is_kept[i] = true);
     let others: Vec<usize> = (0..masses.len()).filter(|&i| !is_kept[i]).collect();
-    let nearest = cost.nearest(of_rows, &others, kept)?;
+    let Some(nearest) = cost.nearest(of_rows, &others, kept, watch)? else { return Ok(None) };
     let mut sums: Vec<i64> = kept.iter().map(|&i| masses[i]).collect();
     for (&i, &place) in others.iter().zip(&nearest) {
         sums[place as usize] += masses[i];
     }
-    Some(sums)
+    Ok(Some(sums))
 }
 
 /// Masses of equal totals, in finer quanta, so that every column keeps some mass.

@@ -93,7 +93,7 @@ pub fn solve(
         cost
     };
     let (some_rows, coarse) = coarse::optimum(cost, (rows, cols), 2, Share::Region, workers, watch)?;
-    let minus_v = coarse::extend_to_columns(cost, &some_rows, &coarse.u);
+    let minus_v = coarse::extend_to_columns(cost, &some_rows, &coarse.u, watch)?;
     sparse_transport::solve(cost, rows, cols, &minus_v, workers, watch)
 }
 
@@ -117,7 +117,7 @@ fn solve_square(
         // Regions leave less to do on the short lists, but their masses are not equal any more.
         let share = if n * n > ASSIGNMENT_PAIRS { Share::Region } else { Share::Own };
         let (some_rows, coarse) = coarse::optimum(cost, (&masses, &masses), 2, share, workers, watch)?;
-        Some(coarse::extend_to_columns(cost, &some_rows, &coarse.u))
+        Some(coarse::extend_to_columns(cost, &some_rows, &coarse.u, watch)?)
     };
     let optimum = |best: Assignment| Optimum {
         arcs: best.col_of.iter().enumerate().map(|(i, &j)| (i, j as usize, mass)).collect(),

@@ -1,6 +1,8 @@
 //! Costs: what moving one unit of mass between two points costs.
 
+use crate::error::OtError;
 use crate::merge::Groups;
+use crate::watch::Watch;
 
 /// What moving one unit of mass between two points costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +41,18 @@ pub trait Cost: Sync {
     fn subset(&self, rows: &[usize], cols: &[usize]) -> Box<dyn Cost + '_>;
     /// For each of some points of one side, the place in `among` of the nearest point of that side; `None` where
     /// points have no places.
-    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
-        let _ = (rows, points, among);
-        None
+    ///
+    /// # Errors
+    /// `Interrupted` or `NotOptimal`, from the watch.
+    fn nearest(
+        &self,
+        rows: bool,
+        points: &[usize],
+        among: &[usize],
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Vec<u32>>, OtError> {
+        let _ = (rows, points, among, watch);
+        Ok(None)
     }
     /// Which rows, or which columns, are the same point; `None` where all are distinct, or where points have no places.
     fn groups(&self, rows: bool) -> Option<Groups> {
@@ -56,6 +67,10 @@ pub trait Cost: Sync {
     fn bound(&self) -> f64;
     /// A bound below the cost of every pair, scaled.
     fn floor(&self) -> f64;
+    /// A scaled cost below which digits may be missing, where numbers given are too small for the unit; zero if none is.
+    fn resolution(&self) -> f64 {
+        0.0
+    }
     /// Cost of one pair in the caller's units, from the scaled one.
     fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64;
     /// Cost of one pair in the caller's units.

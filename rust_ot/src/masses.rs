@@ -161,11 +161,27 @@ fn sum_in_parts(values: &[f64]) -> Pair {
 /// The sum of potentials times what the masses of a side have beyond the shares of its weights, in quanta.
 #[must_use]
 pub fn excess<M: Mass>(masses: &[M], weights: &[f64], total: Pair, quanta: M, potentials: &[f64]) -> f64 {
+    let beyond = beyond_weights(weights, total, quanta);
+    masses.iter().zip(potentials).enumerate().map(|(place, (&mass, p))| beyond(place, mass) * p).sum()
+}
+
+/// Quanta below which most of a mass may be rounding: with twice as many, a millionth of it is.
+const LIGHT: f64 = 1_048_576.0;
+
+/// The sum of what light masses have beyond the shares of their weights, or below them, in quanta.
+#[must_use]
+pub fn rounded_away<M: Mass>(masses: &[M], weights: &[f64], total: Pair, quanta: M) -> f64 {
+    let beyond = beyond_weights(weights, total, quanta);
+    let light = masses.iter().enumerate().filter(|(_, mass)| mass.to_f64() < LIGHT);
+    light.map(|(place, &mass)| beyond(place, mass).abs()).sum()
+}
+
+/// What the mass at a place has beyond the share of its weight, in quanta.
+fn beyond_weights<M: Mass>(weights: &[f64], total: Pair, quanta: M) -> impl Fn(usize, M) -> f64 {
     // Totals near one, so that nothing leaves the range of numbers on the way.
     let factor = times_power_of_two(1.0, -exponent_of(total.0));
     let per_weight = quotient(quanta.parts(), (total.0 * factor, total.1 * factor));
-    let excess = |mass: M, weight: f64| less_product(mass.parts(), weight * factor, per_weight);
-    masses.iter().zip(weights).zip(potentials).map(|((&mass, &weight), p)| excess(mass, weight) * p).sum()
+    move |place, mass| less_product(mass.parts(), weights[place] * factor, per_weight)
 }
 
 fn check_weights(name: &str, weights: &[f64], len: usize) -> Result<(), OtError> {

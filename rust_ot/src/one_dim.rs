@@ -1,8 +1,10 @@
 //! Exact transport on a line, by sorting: for a convex cost the monotone plan is optimal.
 
+use crate::error::OtError;
 use crate::mass::Mass;
 use crate::masses::Masses;
 use crate::precise::{Pair, difference};
+use crate::watch::Watch;
 
 /// The monotone plan and potentials that are tight along it.
 #[derive(Clone, Debug)]
@@ -21,10 +23,18 @@ pub struct LinePlan<M> {
 /// pairs, and the staircase that follows the cumulated masses carries the optimal plan. Costs and potentials are pairs
 /// of floats, so that each potential is right to half a unit in its last place however long the staircase is; they are
 /// counted from the heaviest point.
-#[must_use]
-pub fn solve<M: Mass>(x: &[f64], y: &[f64], masses: &Masses<M>, cost: impl Fn(f64, f64) -> Pair) -> LinePlan<M> {
-    let order_x = sorted(x);
-    let order_y = sorted(y);
+///
+/// # Errors
+/// `Interrupted`, from the watch.
+pub fn solve<M: Mass>(
+    x: &[f64],
+    y: &[f64],
+    masses: &Masses<M>,
+    cost: impl Fn(f64, f64) -> Pair,
+    watch: &mut Watch<'_>,
+) -> Result<LinePlan<M>, OtError> {
+    let order_x = sorted(x, watch)?;
+    let order_y = sorted(y, watch)?;
     let (n, m) = (x.len(), y.len());
     let mut arcs = Vec::with_capacity(n + m);
     let (mut alpha, mut beta) = (vec![(0.0, 0.0); n], vec![(0.0, 0.0); m]);
@@ -32,6 +42,7 @@ pub fn solve<M: Mass>(x: &[f64], y: &[f64], masses: &Masses<M>, cost: impl Fn(f6
     let (mut left, mut open) = (masses.rows[order_x[0]], masses.cols[order_y[0]]);
     beta[order_y[0]] = cost(x[order_x[0]], y[order_y[0]]);
     loop {
+        watch.step()?;
         let (i, j) = (order_x[s], order_y[t]);
         let mass = left.min(open);
         if mass > M::ZERO {
@@ -55,7 +66,7 @@ pub fn solve<M: Mass>(x: &[f64], y: &[f64], masses: &Masses<M>, cost: impl Fn(f6
     let zero = origin(masses, &alpha, &beta);
     let alpha = alpha.iter().map(|&p| difference(p, zero).0).collect();
     let beta = beta.iter().map(|&p| difference(p, (-zero.0, -zero.1)).0).collect();
-    LinePlan { arcs, alpha, beta }
+    Ok(LinePlan { arcs, alpha, beta })
 }
 
 /// The potential of the rows at which the heaviest point of either side has none.
@@ -65,8 +76,9 @@ fn origin<M: Mass>(masses: &Masses<M>, alpha: &[Pair], beta: &[Pair]) -> Pair {
     all.max_by_key(|(mass, _)| **mass).map_or((0.0, 0.0), |(_, potential)| potential)
 }
 
-fn sorted(values: &[f64]) -> Vec<usize> {
+fn sorted(values: &[f64], watch: &mut Watch<'_>) -> Result<Vec<usize>, OtError> {
+    watch.ask()?;
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
-    order
+    Ok(order)
 }

@@ -4,11 +4,16 @@ use crate::cost::{Cost, Metric};
 use crate::error::{OtError, bad};
 use crate::masses::{exponent_of, times_power_of_two};
 use crate::merge::Groups;
+use crate::scan::{blocks, rows_between_questions};
 use crate::simd::{LANES, LeastSum, run, vectorized};
+use crate::watch::Watch;
 
 /// Above this cost and with exponents below this one, squares and results are far from the ends of the range.
 const SAFE_COST: f64 = 1e-100;
 const SAFE_EXPONENT: i32 = 500;
+
+/// What coordinates lose is below 2^-1074, and nothing beside a cost above this one.
+const BLURRED: f64 = 1e-270;
 
 /// Largest share of the mean squared distance at which a point still stands for its nearest.
 const NEAR: f64 = 0.25;
@@ -24,10 +29,13 @@ pub struct Points {
     metric: Metric,
     shift: i32,
     bound: f64,
+    /// Whether coordinates are so small beside others that digits of theirs were lost.
+    blurred: bool,
 }
 
 impl Points {
-    /// Checks and scales the points by a power of two, which is exact; `x` is `(n, dim)`, `y` is `(m, dim)`.
+    /// Checks and scales the points by a power of two, which is exact unless digits vanish beside far points, see
+    /// [`Cost::resolution`]; `x` is `(n, dim)`, `y` is `(m, dim)`.
     ///
     /// # Errors
     /// `BadInput` for an empty set or a coordinate that is not finite.
@@ -48,6 +56,11 @@ impl Points {
             return Ok(Self::assemble(zeros(x), zeros(y), 1, metric, 0, 0.0));
         };
         let scaled = |v: f64| times_power_of_two(v, -shift);
+        let whole = |(k, &v): (usize, &f64)| {
+            let (low, high) = reach[k % dim];
+            low == high || times_power_of_two(scaled(v), shift) == v
+        };
+        let blurred = !(x.iter().enumerate().all(whole) && y.iter().enumerate().all(whole));
         let scale = |values: &[f64]| -> Vec<f64> {
             values.chunks_exact(dim).flat_map(|point| kept.iter().map(|&k| scaled(point[k]))).collect()
         };
@@ -55,7 +68,7 @@ impl Points {
         let metric = if kept.len() == 1 && metric == Metric::Euclidean { Metric::CityBlock } else { metric };
         let (low, high): (Vec<f64>, Vec<f64>) = kept.iter().map(|&k| (scaled(reach[k].0), scaled(reach[k].1))).unzip();
         let bound = distance(&high, &low, metric);
-        Ok(Self::assemble(scale(x), scale(y), kept.len(), metric, shift, bound))
+        Ok(Self { blurred, ..Self::assemble(scale(x), scale(y), kept.len(), metric, shift, bound) })
     }
 
     fn assemble(x: Vec<f64>, y: Vec<f64>, dim: usize, metric: Metric, shift: i32, bound: f64) -> Self {
@@ -66,7 +79,7 @@ impl Points {
                 blocks[j / LANES * LANES * dim + k * LANES + j % LANES] = value;
             }
         }
-        Self { x, y, blocks, dim, metric, shift, bound }
+        Self { x, y, blocks, dim, metric, shift, bound, blurred: false }
     }
 
     /// Coordinates that play a part, at least one.
@@ -181,7 +194,13 @@ impl Cost for Points {
         Box::new(Self::assemble(x, y, self.dim, self.metric, self.shift, self.bound))
     }
 
-    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
+    fn nearest(
+        &self,
+        rows: bool,
+        points: &[usize],
+        among: &[usize],
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Vec<u32>>, OtError> {
         let side = if rows { &self.x } else { &self.y };
         let pick = |places: &[usize]| -> Vec<f64> {
             places.iter().flat_map(|&i| &side[i * self.dim..(i + 1) * self.dim]).copied().collect()
@@ -189,14 +208,17 @@ impl Cost for Points {
         let pairs = Self::assemble(pick(points), pick(among), self.dim, Metric::SqEuclidean, self.shift, self.bound);
         let (mut row, zeros) = (vec![0.0; among.len()], vec![0.0; among.len()]);
         let (mut nearest, mut near, mut any) = (Vec::with_capacity(points.len()), 0.0, 0.0);
-        for i in 0..points.len() {
-            pairs.fill_row(i, &mut row);
-            let (least, place) = run(LeastSum(&row, &zeros));
-            nearest.push(place as u32);
-            near += least;
-            any += row[i % row.len()];
+        for some in blocks(points.len(), rows_between_questions(among.len())) {
+            watch.ask()?;
+            for i in some {
+                pairs.fill_row(i, &mut row);
+                let (least, place) = run(LeastSum(&row, &zeros));
+                nearest.push(place as u32);
+                near += least;
+                any += row[i % row.len()];
+            }
         }
-        (near <= NEAR * any).then_some(nearest)
+        Ok((near <= NEAR * any).then_some(nearest))
     }
 
     fn groups(&self, rows: bool) -> Option<Groups> {
@@ -209,6 +231,10 @@ impl Cost for Points {
 
     fn floor(&self) -> f64 {
         0.0
+    }
+
+    fn resolution(&self) -> f64 {
+        if self.blurred { BLURRED } else { 0.0 }
     }
 
     fn unscale(&self, row: usize, col: usize, scaled: f64) -> f64 {

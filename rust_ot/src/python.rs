@@ -111,7 +111,7 @@ fn solve_numbers<'py>(
 ) -> PyResult<Answer<'py>> {
     let (x, y) = (x.as_slice()?, y.as_slice()?);
     let weights = (slice_of(&a)?, slice_of(&b)?);
-    run(py, |_| between_numbers(x, y, order, weights))
+    run(py, |go_on| between_numbers(x, y, order, weights, go_on))
 }
 
 /// Exact transport for a C-contiguous float64 cost matrix of shape (n, m).

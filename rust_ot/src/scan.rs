@@ -1,11 +1,14 @@
 //! Passes over all pairs: the cheapest arcs of every row, and the search for arcs that a solution missed.
 
+use std::ops::Range;
+
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::cost::Cost;
 use crate::error::{OtError, bad};
 use crate::simd::{ColumnBest, Improve, Sum, run};
+use crate::watch::Watch;
 
 /// Pairs that are compared at once.
 const CHUNK: usize = 64;
@@ -101,9 +104,10 @@ impl Scratch {
             self.width = low.abs().max(f64::MIN_POSITIVE) * 1e-3;
         }
         loop {
-            let limit = low + self.width;
-            self.collect(if limit > low { limit } else { f64::INFINITY });
-            if self.found.len() >= count {
+            let limit = if low + self.width > low { low + self.width } else { f64::INFINITY };
+            self.collect(limit);
+            // Costs that someone changes meanwhile may be none: then there are no more.
+            if self.found.len() >= count || limit == f64::INFINITY {
                 break;
             }
             self.width *= 1.6;
@@ -141,6 +145,9 @@ impl WithSimd for Reduce<'_> {
 /// Rows that one task handles.
 const ROWS_A_TASK: usize = 64;
 
+/// Pairs between two questions whether to go on: a fraction of a second, also in hundreds of dimensions.
+const PAIRS_BETWEEN_QUESTIONS: usize = 1 << 24;
+
 /// The threads that share the passes over all pairs; the results do not depend on their number.
 #[derive(Debug)]
 pub struct Workers(Option<rayon::ThreadPool>);
@@ -161,19 +168,57 @@ impl Workers {
         }
     }
 
-    /// Runs `task` over blocks of rows and joins the parts in order.
-    fn over_rows<T: Send>(&self, n: usize, task: impl Fn(std::ops::Range<usize>) -> T + Sync) -> Vec<T> {
-        let Some(pool) = &self.0 else { return vec![task(0..n)] };
-        let size = ROWS_A_TASK.max(n.div_ceil(8 * pool.current_num_threads()));
-        let range = |block: usize| block * size..((block + 1) * size).min(n);
-        pool.install(|| (0..n.div_ceil(size)).into_par_iter().map(|block| task(range(block))).collect())
+    /// Runs `task` over blocks of the rows of a cost and joins the parts in order.
+    ///
+    /// # Errors
+    /// `Interrupted` or `NotOptimal`, from the watch, which is asked now and then.
+    fn over_rows<T: Send>(
+        &self,
+        cost: &dyn Cost,
+        watch: &mut Watch<'_>,
+        task: impl Fn(Range<usize>) -> T + Sync,
+    ) -> Result<Vec<T>, OtError> {
+        let threads = self.0.as_ref().map_or(1, rayon::ThreadPool::current_num_threads);
+        let mut parts = Vec::new();
+        for rows in blocks(cost.rows(), threads * rows_between_questions(cost.cols())) {
+            watch.ask()?;
+            let Some(pool) = &self.0 else {
+                parts.push(task(rows));
+                continue;
+            };
+            let size = ROWS_A_TASK.max(rows.len().div_ceil(8 * threads));
+            let some: Vec<Range<usize>> = blocks(rows.len(), size).collect();
+            let task = |part: &Range<usize>| task(rows.start + part.start..rows.start + part.end);
+            parts.extend(pool.install(|| some.par_iter().map(task).collect::<Vec<T>>()));
+        }
+        Ok(parts)
     }
 }
 
+/// Rows of so many columns that are gone through between two questions whether to go on.
+#[must_use]
+pub fn rows_between_questions(cols: usize) -> usize {
+    (PAIRS_BETWEEN_QUESTIONS / cols).max(ROWS_A_TASK)
+}
+
+/// So many numbers from zero on, in blocks of `size`.
+pub fn blocks(len: usize, size: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..len).step_by(size).map(move |start| start..(start + size).min(len))
+}
+
 /// The `count` arcs of least reduced cost of every row, and the best row of every column.
-pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, workers: &Workers) -> Pass {
+///
+/// # Errors
+/// `Interrupted` or `NotOptimal`, from the watch.
+pub fn shortlist(
+    cost: &dyn Cost,
+    minus_v: &[f64],
+    count: usize,
+    workers: &Workers,
+    watch: &mut Watch<'_>,
+) -> Result<Pass, OtError> {
     let m = cost.cols();
-    let parts = workers.over_rows(cost.rows(), |rows| {
+    let parts = workers.over_rows(cost, watch, |rows| {
         let mut scratch = Scratch::new(m);
         let mut best = ColumnBest::new(m);
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
@@ -185,7 +230,7 @@ pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, workers: &Worke
             run(Improve { best: &mut best, reduced: &scratch.reduced, costs: &scratch.costs, low, row: row as f64 });
         }
         (minima, arcs, best)
-    });
+    })?;
     let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: vec![(0, 0.0); m] };
     let mut slack = vec![f64::INFINITY; m];
     for (minima, arcs, best) in parts {
@@ -198,10 +243,13 @@ pub fn shortlist(cost: &dyn Cost, minus_v: &[f64], count: usize, workers: &Worke
             }
         }
     }
-    pass
+    Ok(pass)
 }
 
 /// The most negative arcs of every row, at most `count` each; `negative` judges `(reduced, row, column, cost)`.
+///
+/// # Errors
+/// `Interrupted` or `NotOptimal`, from the watch.
 pub fn violated(
     cost: &dyn Cost,
     u: &[f64],
@@ -209,8 +257,9 @@ pub fn violated(
     count: usize,
     negative: impl Fn(f64, usize, usize, f64) -> bool + Sync,
     workers: &Workers,
-) -> Pass {
-    let parts = workers.over_rows(cost.rows(), |rows| {
+    watch: &mut Watch<'_>,
+) -> Result<Pass, OtError> {
+    let parts = workers.over_rows(cost, watch, |rows| {
         let mut scratch = Scratch::new(cost.cols());
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
         for row in rows {
@@ -225,11 +274,11 @@ pub fn violated(
             arcs.push(scratch.found.clone());
         }
         (minima, arcs)
-    });
+    })?;
     let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: Vec::new() };
     for (minima, arcs) in parts {
         pass.row_minimum.extend(minima);
         pass.arcs.extend(arcs);
     }
-    pass
+    Ok(pass)
 }

@@ -1,6 +1,6 @@
 //! The answer in the caller's units, and the last checks it has to pass.
 
-use crate::certificate::{Excuse, GAP, Potentials, certify};
+use crate::certificate::{Excuse, GAP, Potentials, Priced, certify};
 use crate::cost::Cost;
 use crate::error::{OtError, bad};
 use crate::mass::Mass;
@@ -41,6 +41,16 @@ fn total<M: Mass>(arcs: &[(usize, usize, M)], prices: &[f64], masses: &Masses<M>
     sum.value() * (masses.unit / scale)
 }
 
+/// Whether a plan moves all masses of both sides, and nothing else: what is missing costs nothing.
+fn moves_all<M: Mass>(arcs: &[(usize, usize, M)], masses: &Masses<M>) -> bool {
+    let (mut rows, mut cols) = (masses.rows.clone(), masses.cols.clone());
+    for &(i, j, mass) in arcs {
+        rows[i] -= mass;
+        cols[j] -= mass;
+    }
+    arcs.iter().all(|arc| arc.2 > M::ZERO) && rows.iter().chain(&cols).all(|&mass| mass == M::ZERO)
+}
+
 /// Certifies a plan and brings everything back to the caller's units.
 ///
 /// # Errors
@@ -53,10 +63,14 @@ pub fn conclude<M: Mass>(
     masses: &Masses<M>,
     excuse: Excuse,
 ) -> Result<Solution, OtError> {
+    if !moves_all(arcs, masses) {
+        return Err(OtError::NotOptimal("the plan leaves mass behind: rescale the costs".to_owned()));
+    }
     arcs.sort_unstable();
     let prices: Vec<f64> = arcs.iter().map(|&(i, j, _)| cost.at(i, j)).collect();
     let primal = total(arcs, &prices, masses);
-    let gap = certify(arcs, &prices, primal, potentials, weights, masses, excuse)?;
+    let plan = Priced { arcs, prices: &prices, primal };
+    let gap = certify(plan, potentials, weights, masses, cost.bound() - cost.floor(), excuse)?;
     let paid: Vec<f64> = arcs.iter().zip(&prices).map(|(arc, &price)| cost.unscale(arc.0, arc.1, price)).collect();
     let moved = prices.iter().chain(&paid).any(|&price| price != 0.0);
     let total = total(arcs, &paid, masses) * masses.total_rows;
@@ -67,7 +81,8 @@ pub fn conclude<M: Mass>(
     let all_finite = alpha.iter().chain(&beta).all(|v| v.is_finite());
     // Where squares vanish, costs that the plan is made of are not those that the caller pays.
     let vanished = (times_power_of_two(primal, cost.exponent()) * masses.total_rows - total).abs() > GAP * total.abs();
-    if !total.is_finite() || !all_finite || (moved && (smallest || vanished)) {
+    let blurred = primal.abs() < cost.resolution();
+    if !total.is_finite() || !all_finite || blurred || (moved && (smallest || vanished)) {
         return Err(bad(format!(
             "the cost ({primal:e} times 2^{}) lies outside the range of numbers: rescale the points or costs",
             cost.exponent()

@@ -26,8 +26,7 @@ pub fn solve(
     workers: &Workers,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Assignment>, OtError> {
-    watch.ask()?;
-    let pass = scan::shortlist(cost, minus_v, SHORTLIST, workers);
+    let pass = scan::shortlist(cost, minus_v, SHORTLIST, workers, watch)?;
     let mut arcs = columns_and_costs(&pass);
     for (col, &(row, c)) in pass.col_best.iter().enumerate() {
         let listed = &mut arcs[row as usize];
@@ -43,11 +42,10 @@ pub fn solve(
             matcher.push *= 2.0;
         }
         matcher.refresh();
-        watch.ask()?;
         let (u, minus_v) = (&matcher.state.u, matcher.state.v.iter().map(|v| -v).collect::<Vec<f64>>());
         let tolerance = Tolerance::of_potentials(u.iter().chain(&minus_v));
         let negative = |reduced, row: usize, col: usize, c| tolerance.is_negative(reduced, c, u[row], minus_v[col]);
-        let pass = scan::violated(cost, u, &minus_v, ADDED, negative, workers);
+        let pass = scan::violated(cost, u, &minus_v, ADDED, negative, workers, watch)?;
         arcs = columns_and_costs(&pass);
         if all && arcs.iter().all(Vec::is_empty) {
             for (u, low) in matcher.state.u.iter_mut().zip(&pass.row_minimum) {

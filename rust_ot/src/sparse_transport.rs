@@ -36,8 +36,7 @@ pub fn solve(
     watch: &mut Watch<'_>,
 ) -> Result<Optimum, OtError> {
     let n = rows.len();
-    watch.ask()?;
-    let pass = scan::shortlist(cost, minus_v, SHORTLIST, workers);
+    let pass = scan::shortlist(cost, minus_v, SHORTLIST, workers, watch)?;
     let mut list = ArcList::default();
     add(&mut list, &pass, n);
     for (col, &(row, c)) in pass.col_best.iter().enumerate() {
@@ -54,10 +53,9 @@ pub fn solve(
         arcs::solve(&list, &mut tree, &mut tolerance, watch)?;
         let resting = penalty < most && tree.artificial_mass() > 0;
         if !resting || penalty >= reach {
-            watch.ask()?;
             let (u, minus_v) = (tree.row_potentials(), tree.col_potentials_negated());
             let negative = |reduced, row: usize, col: usize, c| tolerance.is_negative(reduced, c, u[row], minus_v[col]);
-            let pass = scan::violated(cost, u, minus_v, ADDED, negative, workers);
+            let pass = scan::violated(cost, u, minus_v, ADDED, negative, workers, watch)?;
             let before = list.len();
             add(&mut list, &pass, n);
             if !resting && list.len() == before {
@@ -87,9 +85,12 @@ fn add(list: &mut ArcList, pass: &Pass, n: usize) {
 }
 
 /// What an artificial arc must cost more than the potentials of its node for no plan to use it.
+///
+/// A pair of them must cost more than any real arc. Costs differ by at most `bound - floor`, and so do potentials of the
+/// columns that are least differences of costs and others; reduced costs reach the sum of both.
 #[must_use]
 pub fn artificial_cost(cost: &dyn Cost) -> f64 {
-    1.01 * cost.bound().max(f64::MIN_POSITIVE)
+    1.01 * (cost.bound() - cost.floor().min(0.0)).max(f64::MIN_POSITIVE)
 }
 
 /// Ships along the cheapest arcs of the shortlist, cheapest first; artificial arcs carry the rest.

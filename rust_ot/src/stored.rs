@@ -1,6 +1,8 @@
 //! A cost whose pairs are all computed once and kept.
 
 use crate::cost::Cost;
+use crate::error::OtError;
+use crate::watch::Watch;
 
 /// The pairs of another cost.
 pub struct Stored<'a> {
@@ -56,8 +58,14 @@ impl Cost for Stored<'_> {
         Box::new(Stored { of: Of::Own(self.of.get().subset(rows, cols)), costs })
     }
 
-    fn nearest(&self, rows: bool, points: &[usize], among: &[usize]) -> Option<Vec<u32>> {
-        self.of.get().nearest(rows, points, among)
+    fn nearest(
+        &self,
+        rows: bool,
+        points: &[usize],
+        among: &[usize],
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Vec<u32>>, OtError> {
+        self.of.get().nearest(rows, points, among, watch)
     }
 
     fn is_stored(&self) -> bool {

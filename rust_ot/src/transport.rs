@@ -10,7 +10,7 @@ use crate::line::{self, Line};
 use crate::mass::Mass;
 use crate::masses::{Masses, Weights, fine_masses, integer_masses};
 use crate::merge::{Groups, split};
-use crate::one_dim;
+use crate::one_dim::{self, LinePlan};
 use crate::points::{Points, check_points};
 use crate::precise::{Pair, square, two_sum};
 use crate::scan::Workers;
@@ -38,7 +38,7 @@ pub fn between_points(
         return with_cost(&points, weights, workers, go_on);
     }
     let (x, y) = points.scaled();
-    on_a_line(&points, (x, y), weights, |x, y| {
+    on_a_line(&points, (x, y), weights, go_on, |x, y| {
         let (near, rest) = two_sum(x, -y);
         match metric {
             Metric::SqEuclidean => square((near, rest)),
@@ -52,11 +52,17 @@ pub fn between_points(
 ///
 /// # Errors
 /// As for [`between_points`].
-pub fn between_numbers(x: &[f64], y: &[f64], order: f64, weights: Weights<'_>) -> Result<Solution, OtError> {
+pub fn between_numbers(
+    x: &[f64],
+    y: &[f64],
+    order: f64,
+    weights: Weights<'_>,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Solution, OtError> {
     check_points("x", x, 1)?;
     check_points("y", y, 1)?;
     let line = Line::new(x, y, order);
-    on_a_line(&line, line.numbers(), weights, |x, y| (line::price(x, y, order), 0.0))
+    on_a_line(&line, line.numbers(), weights, go_on, |x, y| (line::price(x, y, order), 0.0))
 }
 
 /// Solves a cost that is a convex function of the difference of numbers.
@@ -64,27 +70,31 @@ fn on_a_line(
     cost: &dyn Cost,
     (x, y): (&[f64], &[f64]),
     weights: Weights<'_>,
+    go_on: &mut dyn FnMut() -> bool,
     price: impl Fn(f64, f64) -> Pair,
 ) -> Result<Solution, OtError> {
-    fn attempt<M: Mass>(
-        cost: &dyn Cost,
-        (x, y): (&[f64], &[f64]),
-        weights: Weights<'_>,
-        masses: &Masses<M>,
-        price: impl Fn(f64, f64) -> Pair,
-        excuse: Excuse,
-    ) -> Result<Solution, OtError> {
-        let mut line = one_dim::solve(x, y, masses, price);
-        let potentials = Potentials { alpha: line.alpha, beta: line.beta, exact: false };
-        conclude(cost, &mut line.arcs, &potentials, weights, masses, excuse)
-    }
     let masses = integer_masses(weights.0, weights.1, cost.rows(), cost.cols())?;
-    match attempt(cost, (x, y), weights, &masses, &price, Excuse::Nothing) {
+    let watch = &mut Watch::new(go_on, u64::MAX);
+    let line = one_dim::solve(x, y, &masses, &price, watch)?;
+    match conclude_line(cost, line, weights, &masses, Excuse::Nothing) {
         Err(OtError::NotOptimal(_)) => {
-            attempt(cost, (x, y), weights, &fine_masses(weights, &masses), &price, Excuse::Order)
+            let masses = fine_masses(weights, &masses);
+            let line = one_dim::solve(x, y, &masses, &price, watch)?;
+            conclude_line(cost, line, weights, &masses, Excuse::Order)
         }
         answer => answer,
     }
+}
+
+fn conclude_line<M: Mass>(
+    cost: &dyn Cost,
+    mut line: LinePlan<M>,
+    weights: Weights<'_>,
+    masses: &Masses<M>,
+    excuse: Excuse,
+) -> Result<Solution, OtError> {
+    let potentials = Potentials { alpha: line.alpha, beta: line.beta, exact: false };
+    conclude(cost, &mut line.arcs, &potentials, weights, masses, excuse)
 }
 
 /// How much narrower the costs must become for another attempt to be worth it, and how many attempts there are.

@@ -158,7 +158,7 @@ proptest! {
         let unit = |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v / 16.0).collect() };
         let (x, y) = (unit(&x), unit(&y));
         let cost = Line::new(&x, &y, order);
-        let by_sorting = between_numbers(&x, &y, order, (None, None)).unwrap();
+        let by_sorting = between_numbers(&x, &y, order, (None, None), &mut || true).unwrap();
         let by_simplex = with_cost(&cost, (None, None), &Workers::new(1).unwrap(), &mut || true).unwrap();
         prop_assert!((by_sorting.cost - by_simplex.cost).abs() < 1e-13);
         check(&by_sorting, &cost, &vec![1.0 / x.len() as f64; x.len()], &vec![1.0 / y.len() as f64; y.len()])?;
