@@ -88,6 +88,13 @@ def test_more_windows_are_more_of_the_same():
         shortest = brief(recordings, most)[0]
         assert single_steps(recordings, most) == len(shortest.fit) + len(shortest.held)
     assert single_steps(replace(recordings, horizons=recordings.horizons[-1:])) == 0
+    # a single step from a velocity that nobody measured is left out
+    alone = replace(recordings, encoders=replace(recordings.encoders, computed=np.tile((-0.5, 0.0, 0.5), (2, 1))))
+    for most in (MOST, EVERY):
+        shortest = brief(alone, most)[0]
+        assert single_steps(alone, most) == len(shortest.fit) + len(shortest.held)
+    assert brief(replace(alone, horizons=alone.horizons[:2])) == []
+    assert single_steps(replace(alone, horizons=alone.horizons[:2])) == 0
     for some, every in zip(brief(recordings), brief(recordings, EVERY), strict=True):
         steps = some.horizons[-1]
         assert every.horizons == some.horizons

@@ -57,6 +57,56 @@ def test_a_leg_that_starts_inside_the_trunk_is_named():
     assert diagnose_gap(leg(EXCLUDED), data, windows=40).verdict == "no_gap"
 
 
+STANDING = """
+<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>
+<geom name="floor" type="plane" size="5 5 .1"/>
+<body name="torso" pos="0 0 .1"><freejoint/><geom name="trunk" type="box" size=".2 .2 .1" mass="10"/>
+  <body name="neck" pos="0 0 .1"><joint name="yaw" axis="0 1 0" damping=".2"/>
+    <geom type="sphere" size=".02" mass=".2" contype="0" conaffinity="0"/>
+    <body name="head" pos="0 0 .02"><joint name="nod" axis="1 0 0" damping=".2"/>
+      <geom name="sleeve" type="capsule" fromto="0 0 -.06 0 0 .3" size=".03" mass=".3"/></body></body></body>
+</worldbody><contact>{contact}</contact>
+<actuator><motor joint="yaw"/><motor joint="nod"/></actuator></mujoco>"""
+
+
+def test_a_robot_that_stands_and_collides_with_itself_is_told_of_that_alone():
+    """The floor touches it in every pose, too, and holds it up: without that the model would fall."""
+    apart = mujoco.MjModel.from_xml_string(STANDING.format(contact='<exclude body1="torso" body2="head"/>'))
+    rng, episodes = np.random.default_rng(0), []
+    for number in range(4):
+        data, time = mujoco.MjData(apart), 0.01 * np.arange(150)
+        mujoco.mj_step(apart, data, 200)
+        wish = 0.8 * np.sin(2 * np.pi * rng.uniform(0.5, 2.0, 2) * time[:, None] + rng.uniform(0, 6, 2))
+        qpos, qvel, ctrl = np.empty((150, 9)), np.empty((150, 8)), np.empty((150, 2))
+        for row in range(150):
+            ctrl[row] = wish[row] - 3.0 * data.qpos[-2:]
+            qpos[row], qvel[row], data.ctrl[:] = data.qpos, data.qvel, ctrl[row]
+            mujoco.mj_step(apart, data, 2)
+        episodes.append(Episode(str(number), time, qpos, qvel, ctrl))
+    recordings, none = Dataset(episodes), np.zeros(0)
+    cut = cut_recordings(recordings, 3, 0, 40)
+    check_fit(Replay(apart, None, []), recordings, cut, none)
+    nominal = Replay(mujoco.MjModel.from_xml_string(STANDING.format(contact="")), None, [])
+    with pytest.raises(BadDataset, match="without these contacts\\): head and torso. Exclude"):
+        check_fit(nominal, recordings, cut, none)
+
+
+def test_a_robot_that_moves_seldom_is_not_said_to_rest():
+    """Between two looks: cut the rest away, rather than record anew."""
+    rest = [np.zeros((4000, n)) for n in (2, 2, 2)]
+    episodes = []
+    for number in range(2):
+        qpos, qvel, ctrl = (x.copy() for x in rest)
+        qpos[3990:3992], qvel[3990:3992] = 0.1, 0.2
+        episodes.append(Episode(str(number), 0.01 * np.arange(4000), qpos, qvel, ctrl))
+    for data, words in (
+        (Dataset(episodes), "nothing moves in nearly all of these recordings: cut away where the robot rests"),
+        (Dataset([Episode(str(i), 0.01 * np.arange(4000), *rest) for i in range(2)]), "nothing moves in these record"),
+    ):
+        with pytest.raises(BadDataset, match=words):
+            check_fit(Replay(nominal(), None, []), data, cut_recordings(data, 3, 0, 40), np.zeros(0))
+
+
 ODD = np.array([1.0, -1.0])
 
 
@@ -277,6 +327,26 @@ def test_only_what_touches_in_every_pose_is_listed():
     assert always_touching(model, high) == []
     assert always_touching(without_contacts(model, [(0, 1)]), low) == []
     assert model.geom_contype[1] == 1
+
+
+@pytest.mark.parametrize("bits", ["", 'contype="0" conaffinity="0"', 'contype="2" conaffinity="3"'])
+def test_without_a_contact_all_others_stay(bits):
+    """Of three balls that overlap on a floor, whatever their bits, and though one pair is listed."""
+    xml = "".join(
+        f'<body name="b{i}" pos="{0.01 * i} 0 .09"><freejoint/><geom name="g{i}" size=".1" {bits}/></body>'
+        for i in range(3)
+    )
+    listed = '<contact><pair geom1="g2" geom2="g0"/></contact>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><geom type="plane" size="1 1 1" {bits}/>{xml}</worldbody>{listed}</mujoco>'
+    )
+    pose = model.qpos0[None]
+    every = always_touching(model, pose)
+    assert (1, 3) in every
+    for gone in ([pair] for pair in every):
+        assert always_touching(without_contacts(model, gone), pose) == [pair for pair in every if pair not in gone]
+    some = every[1:]
+    assert always_touching(without_contacts(model, some), pose) == every[:1]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
+from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.late import late_speeds
 from nfpde.gap.replay import Replay
@@ -65,6 +66,23 @@ def test_a_filter_is_found_and_its_lag_named(noise):
 def test_speeds_that_were_measured_are_not_late(noise, fault):
     """Whatever the robot lacks, with and without noise."""
     assert late(record(fault, noise=noise)) == ""
+
+
+def test_rows_are_looked_at_without_the_history_of_all(monkeypatch):
+    """At 1 kHz a delay of 0.2 s makes two hundred times as much of it as there are recordings."""
+    cut, windows = [], Dataset.windows
+
+    def counted(*args, **kwargs):
+        found = windows(*args, **kwargs)
+        cut.append((len(found), found.history.shape[1]))
+        return found
+
+    monkeypatch.setattr(Dataset, "windows", counted)
+    monkeypatch.setattr("nfpde.gap.late.MOST", 500)
+    delay = effect("actuation_delay", "*", delay=(0.0, 0.2))
+    late_speeds(Replay(nominal(), None, [delay]), record(), np.zeros(1))
+    assert max(count for count, history in cut if history) == 500
+    assert max(count for count, history in cut) > 500
 
 
 def test_one_filtered_speed_is_not_enough():

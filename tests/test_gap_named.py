@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from nfpde.effects import effect
 from nfpde.gap.fit import Fitter
-from nfpde.gap.found import Found, surely
+from nfpde.gap.found import Found, _differs, surely
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.search import _looking_again
 from nfpde.gap.select import Selection
@@ -315,3 +315,19 @@ def test_what_shrinks_the_gap_too_little_for_a_name_must_differ_from_nothing(awa
     effects: Any = ["scale", "bias"]
     found = surely(near, Found(ANYTHING, near, chosen, final, effects, False), 0)
     assert bool(found.accepted) is named
+
+
+@pytest.mark.parametrize(("away", "named"), [(2.1, True), (1.8, False)])
+def test_a_limit_must_differ_from_the_least_that_limits(away, named):
+    """None at all is far beyond all bounds: a limit so many standard errors below the end of its bounds."""
+    limit = effect("torque_limit", "bend", limit=(0.1, 5.0))
+    replay = SimpleNamespace(effects=(limit,), columns=lambda i: slice(0, 1))
+    fit: Any = SimpleNamespace(replay=replay, xi=np.array([5.0 - 0.3 * away]))
+    near: Any = SimpleNamespace(
+        court=SimpleNamespace(fitter=SimpleNamespace(resolved=lambda fit: fit)),
+        shown=lambda trial, refitted: trial,
+    )
+    found: Any = SimpleNamespace(near=near, final=SimpleNamespace(fit=fit))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nfpde.gap.found.standard_errors", lambda court, fit: np.array([0.3]))
+        assert _differs(found) is named

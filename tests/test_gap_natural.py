@@ -1,6 +1,7 @@
 """Recordings as a model would have made them: states that it goes through, and the noise of the sensors on them."""
 
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,12 +13,15 @@ from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.brief import brief
 from nfpde.gap.grain import Encoders
 from nfpde.gap.natural import begun_earlier, measured, natural
-from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.recordings import WINDOW_TIME, cut_recordings
 from nfpde.gap.replay import Replay
+from nfpde.gap.search import Search
 from nfpde.gap.stage import first_fit, in_noise
 from nfpde.gap.trial import Trial
 from nfpde.sim.simulator import steps_back
 from tests.test_gap_contacts import BLOCK, pushes
+
+ANYTHING: Any = None
 
 HISTORY = 40
 
@@ -43,6 +47,22 @@ def rests(noise: float, seed: int = 0) -> Dataset:
             for i, e in enumerate(errors)
         ]
     )
+
+
+@pytest.mark.parametrize("nu", [0, 1])
+def test_windows_of_robots_without_commands_begin_earlier_too(nu):
+    """What touches a floor settles whether anybody commands it or not."""
+    model = mujoco.MjModel.from_xml_string(BLOCK if nu else BLOCK[: BLOCK.index("<actuator>")] + "</mujoco>")
+    episodes = [replace(e, ctrl=e.ctrl[:, :nu]) for e in pushes(0.5, noise=1e-3)]
+    data, start = Dataset(episodes), Replay(model, None, [])
+    touching = [(effect("ground_height", height=(-0.01, 0.01)), np.zeros((1, 1)))]
+    search = Search(start, data, touching, np.zeros((1, 0)), 60, 0, ANYTHING, ANYTHING)
+    windows = search.cut().fit
+    there = natural(start, np.zeros(0), windows)
+    early = windows.row < round(WINDOW_TIME / data.control_dt)
+    moved = (there.state[:, 0] != windows.state[:, 0]).any(1)
+    assert (moved | early).all()
+    assert moved.sum() > 40
 
 
 def test_windows_that_begin_earlier_are_those_of_the_recordings():

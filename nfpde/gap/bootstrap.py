@@ -158,8 +158,9 @@ def _between(trial: Trial, places: Sequence[Array]) -> Array:
         places: Whose parameters count beside it, with the effect or without; all of them from the first on.
     """
     xi, replay = trial.fit.xi, trial.fit.replay
-    columns = replay.columns(len(replay.effects) - 1)
-    neutral = np.array([q.neutral for q in replay.effects[-1].quantities])
+    columns, effect = replay.columns(len(replay.effects) - 1), replay.effects[-1]
+    neutral = np.array([q.neutral for q in effect.quantities])
+    within = [p.low <= q.neutral <= p.high for q, p in zip(effect.quantities, effect.parameters, strict=True)]
     # no value is half of no limit
-    sizes = neutral + np.outer(SHARES, xi[columns] - neutral) if np.isfinite(neutral).all() else xi[None, columns]
+    sizes = neutral + np.outer(SHARES, xi[columns] - neutral) if all(within) else xi[None, columns]
     return np.array([[*place[: columns.start], *size] for place in places for size in sizes])

@@ -32,8 +32,7 @@ def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
         most: Windows of one control step in each half.
     """
     found = []
-    # a single step from a velocity that nobody measured tells that velocity, and nothing else
-    for length in range(2 if recordings.positions_alone else 1, min(LENGTHS, len(recordings.horizons) - 1) + 1):
+    for length in range(_fewest(recordings), min(LENGTHS, len(recordings.horizons) - 1) + 1):
         horizons = recordings.horizons[:length]
         count = _most(most, horizons[-1])
         fit, held = (shorter(half, horizons[-1], count) for half in (recordings.fit, recordings.held))
@@ -43,11 +42,20 @@ def brief(recordings: Recordings, most: int = MOST) -> list[Recordings]:
 
 def single_steps(recordings: Recordings, most: int = MOST) -> int:
     """How many windows the shortest of `brief` has, of both halves together; 0 where there are none."""
-    if len(recordings.horizons) < 2:
+    length = _fewest(recordings)
+    if len(recordings.horizons) <= length:
         return 0
-    steps = recordings.horizons[0]
+    steps = recordings.horizons[length - 1]
     halves = (recordings.fit, recordings.held)
     return sum(min(_most(most, steps), len(half) * (half.horizon // steps)) for half in halves)
+
+
+def _fewest(recordings: Recordings) -> int:
+    """Horizons of the shortest windows.
+
+    A single step from a velocity that nobody measured tells that velocity, and nothing else.
+    """
+    return 2 if recordings.positions_alone else 1
 
 
 def _most(of_one_step: int, steps: int) -> int:

@@ -63,12 +63,13 @@ class Differences:
         if says_computed(dataset):
             weights[:] = WAYS["central"]
             return cls(weights, listed([f"{axis.name} (central)" for axis in axes] or ["all bodies"]))
-        # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
-        if not axes or dataset.control_dt < 1.5 * model.opt.timestep:
+        if not axes:
             return cls(weights, "")
         readings = Readings.of(model, dataset)
         ways = difference_ways(readings.qpos, readings.qvel, readings.inside, readings.control_dt)
-        found = [(axis, way) for axis, way in zip(axes, ways, strict=True) if way]
+        # recordings of a simulation in single steps: MuJoCo itself moves positions by the speeds of the next row
+        usual = "backward" if dataset.control_dt < 1.5 * model.opt.timestep else ""
+        found = [(axis, way) for axis, way in zip(axes, ways, strict=True) if way not in ("", usual)]
         for axis, way in found:
             weights[axis.v] = WAYS[way]
         return cls(weights, listed([f"{axis.name} ({way})" for axis, way in found]) if found else "")

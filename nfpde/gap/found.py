@@ -111,14 +111,19 @@ def surely(stage: Stage, found: Found, seed: int) -> Found:
 
 
 def _differs(found: Found) -> bool:
-    """Whether of every accepted effect a value differs from where it does nothing by more than its 95 % interval."""
+    """Whether of every accepted effect a value differs from where it does nothing by more than its 95 % interval.
+
+    A limit does nothing beyond its bounds: there it is the end of these that counts.
+    """
     court = found.near.court
     fit = court.fitter.resolved(found.near.shown(found.final, refitted=False).fit)
     errors, replay = standard_errors(court, fit), fit.replay
     return all(
         any(
-            abs(fit.xi[at] - quantity.neutral) > INTERVAL * errors[at]
-            for at, quantity in enumerate(effect.quantities, replay.columns(i).start)
+            abs(fit.xi[at] - np.clip(quantity.neutral, bounds.low, bounds.high)) > INTERVAL * errors[at]
+            for at, (quantity, bounds) in enumerate(
+                zip(effect.quantities, effect.parameters, strict=True), replay.columns(i).start
+            )
             if not quantity.shape_only
         )
         for i, effect in enumerate(replay.effects)

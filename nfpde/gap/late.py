@@ -100,9 +100,9 @@ def late_speeds(replay: Replay, dataset: Dataset, xi: Array) -> str:
     if not axes or max(len(e) for e in dataset) < 3:
         return ""
     back, past = replay.sim.history_steps(dt), replay.sim.past_steps(dt)
-    windows = dataset.windows(2, stride=1, history=back, past=past)
-    if len(windows) > MOST:
-        windows = windows[np.linspace(0, len(windows) - 1, MOST).round().astype(np.intp)]
+    total = len(dataset.windows(2, stride=1))
+    some = np.unique(np.linspace(0, total - 1, min(MOST, total)).round().astype(np.intp))
+    windows = dataset.windows(2, stride=1, history=back, past=past, at=some)
     q, v = np.array([(axis.q, model.nq + axis.v) for axis in axes]).T
     simulated = replay.predict(xi[None], windows)[0]
     sound = np.isfinite(simulated).all((1, 2))

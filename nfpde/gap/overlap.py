@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 
 import mujoco
@@ -12,6 +13,9 @@ from nfpde.elements import element_names
 from nfpde.sim.quiet import quiet_mujoco
 
 Array = NDArray[np.float64]
+
+_BITS = 31
+"""Kinds of contacts, as bits of numbers with a sign."""
 
 
 def always_touching(model: mujoco.MjModel, qpos: Array) -> list[tuple[int, int]]:
@@ -30,12 +34,30 @@ def always_touching(model: mujoco.MjModel, qpos: Array) -> list[tuple[int, int]]
     return sorted(found or ())
 
 
-def without_contacts(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> mujoco.MjModel:
-    """The model with the later geom of every pair touching nothing."""
+def without_contacts(model: mujoco.MjModel, pairs: Sequence[tuple[int, int]]) -> mujoco.MjModel:
+    """The model without the contacts of some pairs of geoms; each of these touches whatever else it did.
+
+    Later geoms of pairs get a bit of their own, by which all others collide with them that did so before. Where no bit
+    is left, they touch nothing.
+    """
     changed = copy(model)
-    for _, geom in pairs:
-        changed.geom_contype[geom] = changed.geom_conaffinity[geom] = 0
+    for i, (a, b) in enumerate(zip(model.pair_geom1, model.pair_geom2, strict=True)):
+        if (a, b) in pairs or (b, a) in pairs:  # no distance is as small
+            changed.pair_margin[i] = changed.pair_gap[i] = -mujoco.mjMAXVAL
+    for geom in dict.fromkeys(b for _, b in pairs):
+        collides = _collides(changed, geom)
+        collides[[a for a, b in pairs if b == geom]] = False
+        used = int(np.bitwise_or.reduce(changed.geom_contype | changed.geom_conaffinity))
+        own = next((1 << bit for bit in range(_BITS) if not used >> bit & 1), 0)
+        changed.geom_contype[geom], changed.geom_conaffinity[geom] = own, 0
+        changed.geom_conaffinity[collides] |= own
     return changed
+
+
+def _collides(model: mujoco.MjModel, geom: int) -> NDArray[np.bool_]:
+    """Which geoms (ngeom,) one may collide with by its bits."""
+    type_, affinity = model.geom_contype, model.geom_conaffinity
+    return ((type_ & affinity[geom]) | (affinity & type_[geom])) != 0
 
 
 def bodies_of(model: mujoco.MjModel, pairs: list[tuple[int, int]]) -> str:

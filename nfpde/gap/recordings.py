@@ -31,7 +31,11 @@ LEAST_USED = 80
 """Windows used of each half where the model has many degrees of freedom, each of which tells something."""
 
 BLOCK = 5
-"""Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other."""
+"""Neighbouring windows whose gains are averaged before standard errors are taken: neighbours resemble each other. Of
+windows that are shorter than the longest, those within the time of a longest one at least."""
+
+LEAST_BLOCKS = 30
+"""Blocks for which that time is cut, where recordings are short: with fewer, errors themselves are not known."""
 
 LEAD = 0.5
 """Time [s] left out there at most, or 25 control steps, if they are longer: recordings are too short to spare more."""
@@ -176,10 +180,12 @@ def _spread(windows: Index, most: int) -> Index:
 def blocks_of(windows: Windows) -> NDArray[np.intp]:
     """Groups of neighbouring windows of one episode."""
     block = np.empty(len(windows), dtype=np.intp)
+    episodes = [np.flatnonzero(windows.episode == episode) for episode in np.unique(windows.episode)]
+    rows = [int(np.ptp(windows.row[mine])) + windows.horizon for mine in episodes]
+    long = max(1.0, min(WINDOW_TIME / windows.control_dt, sum(rows) / LEAST_BLOCKS))
     number = -1
-    for episode in np.unique(windows.episode):
-        mine = np.flatnonzero(windows.episode == episode)
-        parts = max(1, len(mine) // BLOCK)
+    for mine, span in zip(episodes, rows, strict=True):
+        parts = max(1, min(len(mine) // BLOCK, int(span / long)))
         for part in np.array_split(mine, parts):
             number += 1
             block[part] = number

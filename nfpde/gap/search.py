@@ -231,9 +231,9 @@ class Search:
             self.report("joints that stand out over longer windows")
             asked = replace(_looking_again(selection), last=True, untouched=True)
             near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
-            selection.steps = asked.steps
             if len(more) > len(accepted):
                 return near, replace(found, near=near, selection=asked, final=final, accepted=more)
+            over = replace(over, selection=replace(selection, steps=asked.steps, level=asked.level))
         return stage, over
 
     def _by_free_joints(self, stage: Stage, found: Found) -> Found:
@@ -340,10 +340,12 @@ class Search:
         recall = max(recall, known.past_steps(dt))
         times = sorted((e.memory_time() for e in effects), reverse=True)[:3]
         longest = known.memory_time + max(times, default=0.0)
+        earlier = round(WINDOW_TIME / dt)
         if longest <= 0:
-            return recall, recall, 0
+            rows = recall + (earlier if self.touches else 0)
+            return rows, rows, 0
         history = _steps(known.memory_time + sum(times), dt) + 2 + recall
-        return history, min(history, recall + round(WINDOW_TIME / dt)), _steps(min(longest, max(LEAD, 25 * dt)), dt)
+        return history, min(history, recall + earlier), _steps(min(longest, max(LEAD, 25 * dt)), dt)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
