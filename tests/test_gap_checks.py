@@ -87,22 +87,19 @@ def test_a_robot_that_stands_and_collides_with_itself_is_told_of_that_alone():
     cut = cut_recordings(recordings, 3, 0, 40)
     check_fit(Replay(apart, None, []), recordings, cut, none)
     nominal = Replay(mujoco.MjModel.from_xml_string(STANDING.format(contact="")), None, [])
-    with pytest.raises(BadDataset, match="without these contacts\\): head and torso. Exclude"):
+    with pytest.raises(BadDataset, match=r"without these contacts\): head and torso\. Exclude"):
         check_fit(nominal, recordings, cut, none)
 
 
 def test_a_robot_that_moves_seldom_is_not_said_to_rest():
     """Between two looks: cut the rest away, rather than record anew."""
-    rest = [np.zeros((4000, n)) for n in (2, 2, 2)]
-    episodes = []
-    for number in range(2):
-        qpos, qvel, ctrl = (x.copy() for x in rest)
-        qpos[3990:3992], qvel[3990:3992] = 0.1, 0.2
-        episodes.append(Episode(str(number), 0.01 * np.arange(4000), qpos, qvel, ctrl))
-    for data, words in (
-        (Dataset(episodes), "nothing moves in nearly all of these recordings: cut away where the robot rests"),
-        (Dataset([Episode(str(i), 0.01 * np.arange(4000), *rest) for i in range(2)]), "nothing moves in these record"),
+    time, rest, moved = 0.01 * np.arange(4000), np.zeros((4000, 2)), np.zeros((4000, 2))
+    moved[3990:3992] = 0.1
+    for motion, words in (
+        (moved, "nothing moves in nearly all of these recordings: cut away where the robot rests"),
+        (rest, "nothing moves in these recordings, so no gap"),
     ):
+        data = Dataset([Episode(str(i), time, motion, 2.0 * motion, rest) for i in range(2)])
         with pytest.raises(BadDataset, match=words):
             check_fit(Replay(nominal(), None, []), data, cut_recordings(data, 3, 0, 40), np.zeros(0))
 
