@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nfpde.dataset import Dataset, Episode
-from nfpde.errors import BadDataset, SimulationDiverged
+from nfpde.errors import BadDataset, BadInput, SimulationDiverged
 from nfpde.gap import checks, diagnose_gap, mistakes
 from nfpde.gap.answer import _verdict
 from nfpde.gap.checks import check_fit, check_readings
@@ -102,6 +102,21 @@ def test_a_robot_that_moves_seldom_is_not_said_to_rest():
         data = Dataset([Episode(str(i), time, motion, 2.0 * motion, rest) for i in range(2)])
         with pytest.raises(BadDataset, match=words):
             check_fit(Replay(nominal(), None, []), data, cut_recordings(data, 3, 0, 40), np.zeros(0))
+
+
+def test_robots_are_diagnosed_one_by_one():
+    """What two robots differ by is no effect; each alone is what it is."""
+    data = record()
+    two = Dataset([replace(e, robot="left" if i % 2 else "right") for i, e in enumerate(data)])
+    with pytest.raises(BadDataset, match=r"2 robots \(right and left\), and a diagnosis is of one: choose one"):
+        diagnose_gap(nominal(), two)
+    with pytest.raises(BadInput, match=r"no robot 'both' in these recordings of right and left"):
+        diagnose_gap(nominal(), two, robot="both")
+    with pytest.raises(BadInput, match=r"no robot 'left' in these recordings that name no robot"):
+        diagnose_gap(nominal(), data, robot="left")
+    found = diagnose_gap(nominal(), two, robot="left", windows=40)
+    assert found.verdict == "no_gap"
+    assert set(found.held_out_episodes) < {e.name for i, e in enumerate(data) if i % 2}
 
 
 ODD = np.array([1.0, -1.0])

@@ -20,7 +20,7 @@ from nfpde.sim import Device
 def command(
     model: Annotated[str, typer.Argument(metavar="MODEL", help=f"the nominal model: {MODEL_HELP}")],
     data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="recordings of one robot: .npz, .csv, .parquet, or a folder")
+        Path, typer.Argument(metavar="DATA", help="recordings of a robot: .npz, .csv, .parquet, or a folder")
     ],
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json and report.html")],
     params: Annotated[
@@ -30,6 +30,7 @@ def command(
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
     differentiate: Annotated[bool, typer.Option(help=DIFFERENTIATE_HELP)] = False,
+    robot: Annotated[str | None, typer.Option(help="label of the robot that is meant, where there are several")] = None,
     windows: Annotated[
         int | None,
         typer.Option(min=40, help="windows used of each half, 80 to 160 if not given: more are slower and surer"),
@@ -51,7 +52,9 @@ def command(
         raise BadInput(f"{params} is what the diagnosis of {out} writes; give another folder for this one")
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
     with telling(quiet) as tell:
-        found = diagnose_gap(nominal, dataset, space, seed=seed, windows=windows, device=device, report=tell)
+        found = diagnose_gap(
+            nominal, dataset, space, seed=seed, windows=windows, device=device, robot=robot, report=tell
+        )
     path = found.save(out)
     page = write_report(found, out)
     for line in found.summary:

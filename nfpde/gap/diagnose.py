@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
+from nfpde.elements import listed
+from nfpde.errors import BadDataset, BadInput
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.found import surely
@@ -44,6 +46,7 @@ def diagnose_gap(
     windows: int | None = None,
     nthread: int = 0,
     device: Device = "auto",
+    robot: str | None = None,
     report: Callable[[str], None] = lambda what: None,
 ) -> GapReport:
     """Say where the gap between a model and recordings lies, which effects cause it, and how far it shrinks.
@@ -60,6 +63,7 @@ def diagnose_gap(
             freedom.
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
+        robot: Label of the robot that is meant, where recordings are of several.
         report: Called with what is being done.
 
     Returns:
@@ -67,13 +71,15 @@ def diagnose_gap(
 
     Raises:
         BadModel, BadParameter, BadEffect: What cannot be used, and why.
-        BadDataset: Recordings that do not fit the model or are too short.
-        BadInput: A seed, a number of windows or of threads that is none.
+        BadDataset: Recordings of several robots, that do not fit the model, or are too short.
+        SimulationDiverged: The nominal model's simulation diverges.
+        BadInput: A seed, a number of windows or of threads that is none, or a robot that was not recorded.
     """
     begin = time.monotonic()
     for name, value, least in (("seed", seed, 0), ("windows", windows, FEWEST), ("nthread", nthread, 0)):
         if value is not None:
             check_count(value, name, least)
+    dataset = _of_one(dataset, robot)
     mjmodel = load_model(model)
     recall = Recall()
     start = Replay(mjmodel, space, [], nthread, device, recall)
@@ -118,6 +124,22 @@ def diagnose_gap(
     effects, typical, said = tuple(accepted), scales.force, computed.sentence
     outcome = Outcome(dataset, shown, near, final, effects, selection, sigma, typical, seed, said, error, found.by)
     return answer(outcome, time.monotonic() - begin)
+
+
+def _of_one(dataset: Dataset, robot: str | None) -> Dataset:
+    """The recordings of one robot: what two differ by is no effect that a model lacks."""
+    names = dataset.robots
+    if robot is not None:
+        if robot not in names:
+            said = f"of {listed(names)}" if names else "that name no robot"
+            raise BadInput(f"there is no robot {robot!r} in these recordings {said}")
+        return replace(dataset, episodes=[e for e in dataset if e.robot == robot])
+    if len(names) > 1:
+        raise BadDataset(
+            f"these are recordings of {len(names)} robots ({listed(names)}), and a diagnosis is of one: choose one of "
+            "them (robot=, --robot), or leave the labels away if they are the same"
+        )
+    return dataset
 
 
 def candidates_beside(model: mujoco.MjModel, scales: DataScales, free: Sequence[Effect]) -> list[tuple[Effect, Array]]:
