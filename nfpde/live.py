@@ -59,7 +59,6 @@ class LivePhysics:
             raise type(error)(f"environment {self.label}: {error}") from None
         nominal, options = self._simulator.model, self.env.model.opt
         self._own_options = (options.solver, options.disableflags)
-        options.solver, options.disableflags = nominal.opt.solver, nominal.opt.disableflags
         # the nominal model, whose timestep is the one in which effects count, whatever `time_scale` makes of it
         self._bound = BoundEffects(nominal, self._simulator.effects, self._simulator.writer.nbase)
         dead = [e for e in self._bound.effects if not e.live]
@@ -73,7 +72,8 @@ class LivePhysics:
         self._effects = self._effects_at(None)
         self._before_step: BeforeStep | None = None
         self._past: Array | None = None
-        self._install()
+        self._install()  # before which nothing of the environment has changed, should it be refused
+        options.solver, options.disableflags = nominal.opt.solver, nominal.opt.disableflags
 
     @property
     def nominal_model(self) -> mujoco.MjModel:
@@ -115,8 +115,6 @@ class LivePhysics:
         """Forget what effects and solver remember of the last episode; to be called after the inner reset."""
         model, data = self.env.model, self.env.data
         data.qacc_warmstart[:] = 0.0
-        data.qfrc_applied[:] = 0.0
-        data.xfrc_applied[:] = 0.0
         if self._before_step is not None:  # the environment let the robot settle: effects may have changed fields
             for name, field in self._before_step.fields.items():
                 set_field(model, name, field[0])
@@ -168,14 +166,19 @@ class LivePhysics:
         if ctrl.shape != (model.nu,):
             raise BadInput(f"environment {self.label}: an action has shape ({model.nu},), got {ctrl.shape}")
         before_step = self._before_step or self._bind_effects()
-        for command in self._commands(ctrl, n_frames):
-            env.data.ctrl[:] = command
-            before_step()
-            for name, field in before_step.world.fields.items():
-                set_field(model, name, field[0])
-            mujoco.mj_step(model, env.data)
-        env.data.ctrl[:] = ctrl  # what the policy asked for is what a control cost charges
-        mujoco.mj_rnePostConstraint(model, env.data)
+        own = env.data.qfrc_applied.copy(), env.data.xfrc_applied.copy()  # the environment's, as of a gust or a helper
+        before_step.own_forces = own
+        try:
+            for command in self._commands(ctrl, n_frames):
+                env.data.ctrl[:] = command
+                before_step()
+                for name, field in before_step.world.fields.items():
+                    set_field(model, name, field[0])
+                mujoco.mj_step(model, env.data)
+            env.data.ctrl[:] = ctrl  # what the policy asked for is what a control cost charges
+            mujoco.mj_rnePostConstraint(model, env.data)
+        finally:
+            env.data.qfrc_applied[:], env.data.xfrc_applied[:] = own
 
     def _bind_effects(self) -> BeforeStep:
         """What effects do before every physics step, bound to the state as it is now."""

@@ -53,7 +53,7 @@ class Parameter:
         target: name or id of the element, a tuple of them (all get the same value), or "*" for all elements of
             the field's kind; None where the field belongs to no element.
         low: lower bound, in the field's unit. Masses, inertias, damping and friction cannot be negative. Keep
-            `geom_friction` above 1e-5: MuJoCo takes less for 1e-5, and on GPUs it is known to give NaN.
+            `geom_friction` above 1e-5: MuJoCo and MuJoCo Warp take less for 1e-5, so that values below are all alike.
         high: upper bound, greater than `low`.
         component: which number of a field that has several per element (0 is the sliding coefficient of
             `geom_friction`, the gain of `actuator_gainprm`).
@@ -158,6 +158,13 @@ class ParameterSpace:
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
+        given: Any = parameters
+        if isinstance(given, Parameter):
+            raise BadParameter(
+                f"a ParameterSpace is made of a list, got the Parameter {given.name!r} alone: put it in []"
+            )
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            raise BadParameter(f"a ParameterSpace is made of a list of Parameter objects, got {given!r}")
         self.parameters = tuple(parameters)
         for p in self.parameters:
             if not isinstance(p, Parameter):
@@ -218,9 +225,14 @@ class ParameterSpace:
         """Return parameter vectors as a float64 array (n, D).
 
         Raises:
-            BadParameter: wrong shape, a value that is not finite, or one outside its bounds.
+            BadParameter: no numbers, wrong shape, a value that is not finite, or one outside its bounds.
         """
-        xi = np.atleast_2d(np.asarray(xi, dtype=np.float64))
+        try:
+            xi = np.atleast_2d(np.asarray(xi, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise BadParameter(
+                f"parameter vectors must be numbers in rows of one length, shape (n, {len(self)}), got {xi!r}: {self}"
+            ) from None
         if xi.ndim != 2 or xi.shape[1] != len(self):
             raise BadParameter(f"parameter vectors must have shape (n, {len(self)}), got {xi.shape}: {self}")
         bad = ~((xi >= self.low) & (xi <= self.high))

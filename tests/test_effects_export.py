@@ -192,9 +192,9 @@ def test_paths_that_the_file_says_to_strip(tmp_path):
 
 def test_values_with_which_nothing_compiles_are_refused(tmp_path):
     (tmp_path / "robot.xml").write_text(SERVO_ARM)
-    space = ParameterSpace([Parameter("body_mass", "lower", 0.3, 1.5)])
-    with pytest.raises(BadParameter, match=r"out.xml: MuJoCo cannot compile the model with these values: .*mass"):
-        export_mjcf(tmp_path / "robot.xml", [], [-0.5], tmp_path / "out.xml", space)
+    space = ParameterSpace([Parameter("body_inertia", "lower", 1e-3, 9.0)])  # the other two moments stay small
+    with pytest.raises(BadParameter, match=r"out.xml: MuJoCo cannot compile the model with these values: .*inertia"):
+        export_mjcf(tmp_path / "robot.xml", [], [5.0], tmp_path / "out.xml", space)
     assert not (tmp_path / "out.xml").exists()
 
 

@@ -43,3 +43,16 @@ def test_what_is_free_is_no_candidate_however_its_target_is_named(target):
 )
 def test_the_same_elsewhere_is_a_candidate(target, others):
     assert set(tried(nominal(), target)[0]) == others
+
+
+def test_what_an_effect_takes_from_the_model_may_be_free_without_it():
+    """A delay clamps commands to the range that the model has: with that free there is none at this actuator."""
+    model = nominal()
+    scales = DataScales.of(model, record(episodes=1, rows=60))
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, 0)
+    space = ParameterSpace([Parameter("actuator_ctrlrange", name, low=1.0, high=2.0)])
+    every, beside = candidates_beside(model, scales, []), candidates_beside(model, scales, [], space)
+    gone = {(e.called, e.place) for e, _ in every} - {(e.called, e.place) for e, _ in beside}
+    assert {"actuation_delay", "actuator_lag"} <= {called for called, _ in gone}
+    assert not {place for _, place in gone} & {"bend", "elbow"}
+    assert ("actuation_delay", "bend") in {(e.called, e.place) for e, _ in beside}

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.dataset import Dataset, Windows
+from nfpde.dataset import Dataset
 from nfpde.effects import effect
 from nfpde.errors import BadInput, BadParameter
 from nfpde.parameters import Parameter, ParameterSpace
@@ -295,10 +295,19 @@ def test_quaternion_models_too():
 
 
 def test_windows_without_commands():
-    """A robot without actuators has windows with nu = 0."""
+    """A robot without actuators has windows with nu = 0, and falls as plain MuJoCo lets it."""
     model = load(FREE_BOX)
     assert model.nu == 0
-    assert isinstance(make_windows(model, 1, 1), Windows)
+    sim = MujocoSimulator(model, ParameterSpace([Parameter("opt.gravity", low=-20, high=-1, component=2)]))
+    windows = make_windows(model, 3, 4, nsub=5)
+    predicted = sim.predict([[-4.0], [-9.81]], windows)
+    for n in range(3):
+        nothing = np.zeros((4, 0))
+        np.testing.assert_array_equal(predicted[1, n], plain_rollout(sim.model, windows.start[n], nothing, 5))
+    # in free flight all that gravity does to a vertical speed is time times the difference
+    gained = 5.81 * 5 * model.opt.timestep * np.arange(1, 5)
+    away = (predicted[0] - predicted[1])[..., 9]
+    np.testing.assert_allclose(away[:, 0], gained[0], atol=1e-12)
 
 
 def test_no_rows_are_no_residuals():

@@ -47,6 +47,8 @@ class Backlash(Effect):
     kind = "actuator"
     quantities = (Quantity("width", "rad", 0.0, math.inf, neutral=0.0),)
     step_fields = (*DRIVE_FIELDS, "dof_armature", "opt.timestep")
+    step_order = 1
+    taken_fields = ("actuator_ctrlrange", "actuator_armature", "actuator_damping")
     threshold = True
     sentence = "The gear has play: after a change of the torque's direction the motor turns freely for a moment."
     confounders = ("dead_zone", "coulomb_friction", "stribeck_friction", "actuation_delay")
@@ -64,22 +66,28 @@ class Backlash(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """Up to the spread of the joint's position, at most a third of a radian or a tenth of the robot."""
-        if element < 0 or not is_plain(model, element):
+        """See `play_bounds`; on motors and servos whose rotor is the joint's."""
+        if element < 0 or not is_plain(model, element) or _of_its_own(model, element):
             return None
-        joint = int(model.actuator_trnid[element, 0])
-        hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-        spread = float(scales.position[model.jnt_dofadr[joint]])
-        return {"width": (0.0, min(spread, 0.3 if hinge else 0.1 * scales.length))}
+        return play_bounds(model, element, scales)
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.
 
         Raises:
-            BadEffect: an actuator that is no motor or servo on a hinge or slide, or two on one joint.
+            BadEffect: an actuator that is no motor or servo on a hinge or slide, or two on one joint, or one with an
+                armature or damping that the model does not give to the joint.
         """
         bound = super().bind(model)
         bound.drives = Drives.of(model, bound.ids, f"{self.name} on {self.target!r}")
+        for i, joint in zip(bound.ids.tolist(), bound.drives.joints.tolist(), strict=True):
+            own = _of_its_own(model, i)
+            if own:
+                raise BadEffect(
+                    f"{self.name} on {self.target!r}: the model gives actuator #{i} {' and '.join(own)}, and the rotor "
+                    f"of this effect has what its joint is given; give joint #{joint} the same, times the square of "
+                    f"the gear ({model.actuator_gear[i, 0]:g}), and the actuator none: the robot stays as it is"
+                )
         if len(set(bound.drives.joints.tolist())) < len(bound.ids):
             raise BadEffect(f"{self.name} on {self.target!r}: two of these actuators drive one joint; target one")
         bound.spare = _ROTOR * model.dof_M0[bound.drives.dofs]
@@ -163,6 +171,21 @@ class Backlash(Effect):
         return stiffness, damping
 
 
+def play_bounds(model: mujoco.MjModel, actuator: int, scales: DataScales) -> Bounds:
+    """Up to the spread of the joint's position, at most a third of a radian or a tenth of the robot."""
+    joint = int(model.actuator_trnid[actuator, 0])
+    hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+    spread = float(scales.position[model.jnt_dofadr[joint]])
+    return {"width": (0.0, min(spread, 0.3 if hinge else 0.1 * scales.length))}
+
+
+def _of_its_own(model: mujoco.MjModel, actuator: int) -> list[str]:
+    """What an actuator has that would stay at the joint while its rotor is free."""
+    damped = model.actuator_damping[actuator] != 0 or model.actuator_dampingpoly[actuator].any()
+    held = (("an armature", model.actuator_armature[actuator] != 0), ("damping", damped))
+    return [name for name, there in held if there]
+
+
 def _resisting(speed: Array, drag: Array | float, friction: Array | float, per_torque: Array) -> Array:
     """Torque against a motion, (n, k); friction gives way to rest within the speed that it takes in a step."""
     stopped = np.where(friction > 0, friction * per_torque, 1.0)  # where there is none, what of it is no matter
@@ -176,6 +199,7 @@ class BacklashGeared(Backlash):
     name = "backlash_geared"
     says = "backlash"
     step_fields = (*Backlash.step_fields, "dof_damping", "dof_frictionloss")
+    step_order = 3  # what resists is complete then
     resists = True
     sentence = "The gear has play, and what resists is on the motor's side: in between the joint moves freely."
 
@@ -202,5 +226,6 @@ class BacklashGearedOuter(BacklashOuter):
 
     name = "backlash_geared_outer"
     step_fields = BacklashGeared.step_fields
+    step_order = BacklashGeared.step_order
     resists = True
     sentence = "The gear has play, what resists is on the motor's side, and the servo's encoder is at the joint."

@@ -7,7 +7,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.backlash import Backlash
+from nfpde.effects.backlash import Backlash, play_bounds
 from nfpde.effects.drive import Drives, is_servo
 from nfpde.effects.effect import Array, Bounds, Effect
 from nfpde.effects.registry import register
@@ -34,6 +34,7 @@ class BacklashCommand(Effect):
     says = "backlash"
     kind = "actuator"
     quantities = Backlash.quantities
+    taken_fields = ("actuator_ctrlrange",)
     threshold = True
     sentence = "The servo's aim lags behind its command by half a play, to either side."
     confounders = Backlash.confounders
@@ -48,7 +49,7 @@ class BacklashCommand(Effect):
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
         """As for `backlash`, on position servos."""
-        return Backlash.bounds_for(model, element, scales) if element >= 0 and is_servo(model, element) else None
+        return play_bounds(model, element, scales) if element >= 0 and is_servo(model, element) else None
 
     def bind(self, model: mujoco.MjModel) -> Self:
         """See `Effect.bind`.

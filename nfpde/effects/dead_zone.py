@@ -27,6 +27,8 @@ class DeadZone(Effect):
     kind = "actuator"
     quantities = (Quantity("half_width", "ctrl unit", 0.0, math.inf, neutral=0.0),)
     step_fields = ("actuator_biasprm", "actuator_gainprm", "actuator_gear")
+    step_order = -1
+    taken_fields = ("actuator_ctrlrange",)
     threshold = True
     sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold."
     confounders = ("coulomb_friction", "backlash", "stribeck_friction", "motor_strength")
@@ -100,6 +102,7 @@ class DeadZoneGate(DeadZone):
 
     name = "dead_zone_gate"
     says = "dead_zone"
+    step_order = -2  # of the whole error
     sentence = "The actuator does not answer until the command, or a servo's error, exceeds a threshold, then in full."
 
     def _passed(self, sent: Array, half: Array) -> Array:

@@ -105,6 +105,11 @@ class Effect:
     """mjModel fields that `step` writes."""
     write_order: ClassVar[int] = 0
     """`write_model` of lower ones runs first: what builds on fields that others change is 1."""
+    step_order: ClassVar[int] = 0
+    """`step` of lower ones runs first, in whatever order effects are listed: what changes an actuator's force or its
+    limits is below 0, what asks for that force above, and what takes all friction behind a play comes last."""
+    taken_fields: ClassVar[tuple[str, ...]] = ()
+    """mjModel fields of its actuators that it takes from the nominal model: no parameter may change them beside it."""
     sentence: ClassVar[str]
     """What it is, for a roboticist."""
     live: ClassVar[bool] = True
@@ -283,6 +288,13 @@ class Effect:
         decisive = [i for i, q in enumerate(self.quantities) if not q.shape_only]
         neutral = np.array([self.quantities[i].neutral for i in decisive])
         return (values[:, decisive] != neutral).any(1)
+
+    def actuators(self) -> Rows:
+        """Ids of the actuators whose commands or forces it deals with; of a bound effect.
+
+        The base knows of its target; an effect on anything else that names `taken_fields` says which they are.
+        """
+        return self.ids if self.kind == "actuator" else np.zeros(0, dtype=np.intp)
 
     def memory_time(self) -> float:
         """How far back [s] the commands matter, at most, within the bounds of the parameters."""

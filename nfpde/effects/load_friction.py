@@ -33,13 +33,13 @@ class LoadFriction(Effect):
         Quantity("base", "Nm", 0.0, math.inf, neutral=0.0),
         Quantity("share", "-", 0.0, 2.0, neutral=0.0),
     )
+    taken_fields = ("actuator_ctrlrange",)
     step_fields = ("dof_frictionloss", *DRIVE_FIELDS)
+    step_order = 2  # a rotor that is free in its play transmits nothing to its joint
     sentence = "The gear rubs more the more torque it transmits."
     confounders = ("coulomb_friction", "stribeck_friction", "motor_strength")
 
     drives: Drives
-    joint_of: Rows
-    """Which of the target's joints each actuator drives."""
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
@@ -70,16 +70,15 @@ class LoadFriction(Effect):
                 f"{self.name} on {self.target!r}: no motor or servo drives joint #{min(idle)}, so it transmits no "
                 "torque; use coulomb_friction there"
             )
-        places = {int(j): i for i, j in enumerate(bound.ids)}
-        bound.joint_of = np.array([places[int(j)] for j in bound.drives.joints], dtype=np.intp)
         return bound
+
+    def actuators(self) -> Rows:
+        """See `Effect.actuators`; those that drive its joints."""
+        return self.drives.ids
 
     def step(self, world: World, rows: Rows, values: Array) -> None:
         """Add the friction that belongs to the torque of this step."""
-        torque = np.zeros((len(rows), len(self.ids)))
-        parts = self.drives.torque(world, rows)
-        for i, place in enumerate(self.joint_of):
-            torque[:, place] += parts[:, i]
+        torque = self.drives.torque_together(world, rows, self.ids)
         world.fields["dof_frictionloss"][np.ix_(rows, self.dofs)] += values[:, :1] + values[:, 1:] * np.abs(torque)
 
 

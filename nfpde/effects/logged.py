@@ -5,7 +5,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from nfpde.effects.drive import servos_on
+from nfpde.effects.drive import servos_on, unread_on
 from nfpde.effects.effect import Array, Bounds, Effect
 from nfpde.effects.joint_offset import JointOffset
 from nfpde.effects.registry import register
@@ -18,8 +18,9 @@ class Logged(Effect):
 
     @classmethod
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
-        """As for the effect, on joints with a servo: elsewhere it is the same."""
-        differs = element >= 0 and len(servos_on(model, np.array([element]))) > 0
+        """As for the effect, on joints whose sensor something reads: elsewhere it is the same."""
+        joint = np.array([element])
+        differs = element >= 0 and (len(servos_on(model, joint)) > 0 or unread_on(model, joint))
         return super().bounds_for(model, element, scales) if differs else None
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from nfpde.effects.actuation_delay import ActuationDelay
-from nfpde.effects.effect import Bounds
+from nfpde.effects.effect import Bounds, Rows
 from nfpde.effects.registry import register
 from nfpde.effects.scales import DataScales
 
@@ -38,3 +38,7 @@ class ObservationDelay(ActuationDelay):
         bound = super().bind(model)
         bound.ctrls = np.arange(model.nu)
         return bound
+
+    def actuators(self) -> Rows:
+        """See `Effect.actuators`; all of them."""
+        return np.arange(self.model.nactuator)

@@ -38,6 +38,7 @@ class TorqueSpeed(Effect):
         Quantity("stall_torque", "Nm", 0.0, math.inf, neutral=_FREE, log=True),
     )
     step_fields = ("jnt_actfrcrange",)
+    step_order = -1
     threshold = True
     sentence = "The motor gives less torque the faster it turns, and none beyond its no-load speed."
     confounders = ("torque_limit", "viscous_damping", "motor_strength")

@@ -14,7 +14,10 @@ from nfpde.elements import is_jointed, joint_dofs
 
 @register
 class ViscousDamping(Bearing):
-    """A torque against the motion, in proportion to its speed: MuJoCo's `dof_damping`, added to."""
+    """A torque against the motion, in proportion to its speed: MuJoCo's `dof_damping`, added to.
+
+    What it takes away is at most all there is, whatever other parameters and effects make of that.
+    """
 
     name = "viscous_damping"
     quantities = (Quantity("damping", "Nms/rad", -math.inf, math.inf, neutral=0.0),)
@@ -31,5 +34,7 @@ class ViscousDamping(Bearing):
         return {"damping": (-float(model.dof_damping[dofs].min()), 6 * typical)}
 
     def write_model(self, model: mujoco.MjModel, values: Array) -> None:
-        """Add to the damping of the joint's degrees of freedom."""
-        model.dof_damping[self.dofs] += values[0]
+        """Add to the damping of the joint's degrees of freedom; a negative one would drive the joint."""
+        own = model.dof_damping[self.dofs]
+        # what the model itself has is left alone, should it be negative
+        model.dof_damping[self.dofs] = np.maximum(own + values[0], np.minimum(own, 0.0))

@@ -15,7 +15,7 @@ from nfpde.dataset import Dataset
 from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.elements import listed
-from nfpde.errors import BadDataset, BadInput
+from nfpde.errors import BadDataset, BadInput, BadParameter
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.found import surely
@@ -33,6 +33,7 @@ from nfpde.gap.stage import Stage
 from nfpde.gap.trial import noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
+from nfpde.sim.limits import refuse_taken
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ def diagnose_gap(
     dataset, computed = believed(start, dataset, _nominal(start))
     scales = DataScales.of(mjmodel, dataset)
     # effects of the space itself are fitted anyway, such as friction at a joint that has some
-    candidates = candidates_beside(mjmodel, scales, start.sim.effects)
+    candidates = candidates_beside(mjmodel, scales, start.sim.effects, space)
     guesses = np.stack([_nominal(start), 0.5 * (start.low + start.high)])
 
     def select(stage: Stage) -> Selection:
@@ -142,16 +143,29 @@ def _of_one(dataset: Dataset, robot: str | None) -> Dataset:
     return dataset
 
 
-def candidates_beside(model: mujoco.MjModel, scales: DataScales, free: Sequence[Effect]) -> list[tuple[Effect, Array]]:
+def candidates_beside(
+    model: mujoco.MjModel, scales: DataScales, free: Sequence[Effect], space: ParameterSpace | None = None
+) -> list[tuple[Effect, Array]]:
     """Every effect on every element on which it makes sense, with the values to screen, but those that are free.
 
     Args:
         model: The nominal model.
         scales: Typical magnitudes of the recordings.
         free: Effects whose values are free parameters already.
+        space: Free parameters; what an effect takes from the model must not be among them.
     """
     known = {_what(e, model) for e in free}
-    return [(e, e.screened(scales)) for e in all_candidates(model, scales) if _what(e, model) not in known]
+
+    def possible(effect: Effect) -> bool:
+        if _what(effect, model) in known:
+            return False
+        try:
+            refuse_taken(model, space, [effect.bind(model)])
+        except BadParameter:
+            return False
+        return True
+
+    return [(e, e.screened(scales)) for e in all_candidates(model, scales) if possible(e)]
 
 
 def _what(effect: Effect, model: mujoco.MjModel) -> tuple[str, tuple[int, ...]]:

@@ -14,13 +14,15 @@ def _delay_commands(
     active_in: wp.array2d[int],
     world_row_in: wp.array[int],
     ctrlid_in: wp.array[int],
+    low_in: wp.array[float],
+    high_in: wp.array[float],
     first_in: int,
     effect_in: int,
     timestep_in: wp.float64,
     # Out:
     signal_out: wp.array3d[float],
 ):
-    """Actuation delay: shift by whole steps, and average the two commands that a physics step overlaps."""
+    """Actuation delay: shift by whole steps, and average the two commands that a physics step overlaps, clamped."""
     worldid, i = wp.tid()
     row = world_row_in[worldid]
     if active_in[row, effect_in] == 0:
@@ -34,8 +36,8 @@ def _delay_commands(
     # from the last step to the first, so that what is read has not been written yet
     s = int(signal_out.shape[1] - 1)
     while s >= 0:
-        newer = signal_out[worldid, wp.max(s - whole, 0), ctrlid]
-        older = signal_out[worldid, wp.max(s - whole - 1, 0), ctrlid]
+        newer = wp.clamp(signal_out[worldid, wp.max(s - whole, 0), ctrlid], low_in[i], high_in[i])
+        older = wp.clamp(signal_out[worldid, wp.max(s - whole - 1, 0), ctrlid], low_in[i], high_in[i])
         signal_out[worldid, s, ctrlid] = (1.0 - share) * newer + share * older
         s -= 1
 
@@ -70,13 +72,15 @@ def _lag_commands(
     active_in: wp.array2d[int],
     world_row_in: wp.array[int],
     ctrlid_in: wp.array[int],
+    low_in: wp.array[float],
+    high_in: wp.array[float],
     first_in: int,
     effect_in: int,
     timestep_in: wp.float64,
     # Out:
     signal_out: wp.array3d[float],
 ):
-    """Actuator lag: a first-order filter, solved exactly for commands that are constant in a step, by its mean."""
+    """Actuator lag: a first-order filter of clamped commands, constant in a step, solved exactly, by its mean."""
     worldid, i = wp.tid()
     row = world_row_in[worldid]
     if active_in[row, effect_in] == 0:
@@ -85,9 +89,9 @@ def _lag_commands(
     steps = timestep_in / wp.max(values_in[row, first_in], wp.float64(1.0e-300))
     kept = wp.exp(-steps)
     mean = (wp.float64(1.0) - kept) / steps
-    y = wp.float64(signal_out[worldid, 0, ctrlid])
+    y = wp.float64(wp.clamp(signal_out[worldid, 0, ctrlid], low_in[i], high_in[i]))
     for s in range(signal_out.shape[1]):
-        u = wp.float64(signal_out[worldid, s, ctrlid])
+        u = wp.float64(wp.clamp(signal_out[worldid, s, ctrlid], low_in[i], high_in[i]))
         signal_out[worldid, s, ctrlid] = wp.float32(u + (y - u) * mean)
         y = u + (y - u) * kept
 

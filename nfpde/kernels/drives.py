@@ -30,8 +30,10 @@ def _drive_torque(
 ):
     """Torque at the joint in the next physics step.
 
-    `kind` has bits: 1 affine gain, 2 affine bias, 4 limited force, 8 limited force of the joint.
+    `kind` has bits: 1 affine gain, 2 affine bias, 4 limited force, 8 limited force of the joint, 16 disabled.
     """
+    if kind & 16 != 0:
+        return float(0.0)
     gear = _own(gear_in, worldid, 6 * actuatorid)
     length = gear * position
     velocity = gear * speed
@@ -118,13 +120,17 @@ def _add_load_friction(
     # Out:
     dof_frictionloss_out: wp.array2d[float],
 ):
-    """Load friction: add base + share |torque that the actuators transmit to the joint| to its friction loss."""
+    """Load friction: add base + share |torque that the actuators transmit to the joint| to its friction loss.
+
+    A limit of the joint is one of their sum.
+    """
     worldid, i = wp.tid()
     row = world_row_in[worldid]
     if active_in[row, effect_in] == 0:
         return
     dofid = dofid_in[i]
     torque = float(0.0)
+    limited = int(-1)
     for a in range(actuatorid_in.shape[0]):
         if driven_dofid_in[a] == dofid:
             torque += _drive_torque(
@@ -134,13 +140,19 @@ def _add_load_friction(
                 wp.clamp(ctrl_in[worldid, ctrlid_in[a]], low_in[a], high_in[a]),
                 qpos_in[worldid, qposid_in[a]],
                 qvel_in[worldid, dofid],
-                kind_in[a],
+                kind_in[a] & ~8,
                 actuator_gear,
                 actuator_gainprm,
                 actuator_biasprm,
                 actuator_forcerange,
                 jnt_actfrcrange,
             )
+            if kind_in[a] & 8 != 0:
+                limited = jntid_in[a]
+    if limited >= 0:
+        torque = wp.clamp(
+            torque, _own(jnt_actfrcrange, worldid, 2 * limited), _own(jnt_actfrcrange, worldid, 2 * limited + 1)
+        )
     base = float(values_in[row, first_in])
     share = float(values_in[row, first_in + 1])
     dof_frictionloss_out[worldid, dofid] += base + share * wp.abs(torque)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,9 +25,12 @@ def split_space(space: ParameterSpace | None) -> tuple[ParameterSpace | None, li
 
     Raises:
         BadEffect: parameters of effects that do not follow all others, or not in order.
+        BadParameter: no space, and nothing that makes one.
     """
     if space is None:
         return None, []
+    if not isinstance(space, ParameterSpace):  # a list of parameters is as good as a space
+        space = ParameterSpace(space)
     inside = effects_in(space)
     of_effects = [(p.field, p.target) for e in inside for p in e.parameters]
     base = [p for p in space if (p.field, p.target) not in of_effects]
@@ -36,10 +39,38 @@ def split_space(space: ParameterSpace | None) -> tuple[ParameterSpace | None, li
     return (ParameterSpace(base) if base else None), inside
 
 
+def checked_effects(effects: object) -> list[Effect]:
+    """Effects that were given as a list, or refuse what is none.
+
+    Raises:
+        BadEffect: something else, with how to write it.
+    """
+    if isinstance(effects, Effect):
+        raise BadEffect(
+            f"effects must be a list, got the effect {effects.name} alone; write [effect({effects.name!r}, ...)]"
+        )
+    if isinstance(effects, str) or not isinstance(effects, Iterable):
+        raise BadEffect(f"effects must be a list of effects, got {effects!r}; write [effect(name, target, ...)]")
+    found = list(effects)
+    for i, e in enumerate(found):
+        if not isinstance(e, Effect):
+            named = repr(e) if isinstance(e, str) else "name"
+            raise BadEffect(
+                f"effects[{i}] is no effect, got {e!r}; write effect({named}, target, ...), with the function of "
+                "nfpde.effects and bounds for its parameters"
+            )
+    return found
+
+
 def effect_columns(effects: Sequence[Effect], first: int) -> list[slice]:
     """Where each effect's parameters stand in a parameter vector, one effect's after the other's from `first` on."""
     ends = first + np.cumsum([0, *(len(e.parameters) for e in effects)])
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def in_step_order(effects: Sequence[Effect]) -> list[int]:
+    """Which effects act before a physics step, in the order in which they do, whatever order they are listed in."""
+    return sorted((i for i, e in enumerate(effects) if overrides(e, "step")), key=lambda i: effects[i].step_order)
 
 
 class BoundEffects:
@@ -56,7 +87,7 @@ class BoundEffects:
         self.effects = tuple(effects)
         self._columns = effect_columns(effects, first)
         self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
-        self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
+        self.on_step = in_step_order(effects)
         self.step_fields = sorted({f for i in self.on_step for f in effects[i].step_fields})
         self.memory_time = self._memory_time()
         self.recall_time = max((effects[i].recall_time() for i in self.on_step), default=0.0)
@@ -156,11 +187,13 @@ class BeforeStep:
     world: what they see and change
     fields: the rows' own values of the model fields that effects change, put back before every step
     acting: effects, rows, parameters
+    own_forces: `qfrc_applied` and `xfrc_applied` of whoever else pushes, to which those of effects are added
     """
 
     world: World
     fields: dict[str, Array]
     acting: list[tuple[Effect, NDArray[np.intp], Array]]
+    own_forces: tuple[Array | float, Array | float] = (0.0, 0.0)
 
     @property
     def recall_time(self) -> float:
@@ -168,7 +201,7 @@ class BeforeStep:
         return max((e.recall_time() for e, _, _ in self.acting), default=0.0)
 
     def __call__(self) -> None:
-        """Start from the rows' own fields and no force, and let every effect add its part."""
+        """Start from the rows' own fields and the forces of others, and let every effect add its part."""
         self._act(self.acting)
 
     def recall(self, known: NDArray[np.bool_]) -> None:
@@ -182,7 +215,6 @@ class BeforeStep:
     def _act(self, acting: list[tuple[Effect, NDArray[np.intp], Array]]) -> None:
         for name, own in self.fields.items():
             self.world.fields[name][...] = own
-        self.world.qfrc_applied[...] = 0.0
-        self.world.xfrc_applied[...] = 0.0
+        self.world.qfrc_applied[...], self.world.xfrc_applied[...] = self.own_forces
         for e, rows, values in acting:
             e.step(self.world, rows, values)

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from nfpde.dataset import Dataset, Windows
 from nfpde.dataset.timing import same_step
+from nfpde.dataset.windows import check_count
 from nfpde.effects import Effect
 from nfpde.errors import BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
-from nfpde.sim.acting import BoundEffects, split_space
+from nfpde.sim.acting import BoundEffects, checked_effects, split_space
 from nfpde.sim.alike import ModelSource, load_models, refuse_unlike_effects
 from nfpde.sim.cores import usable_cores
 from nfpde.sim.fields import get_field
+from nfpde.sim.limits import refuse_taken
 from nfpde.sim.matching import match_dataset
 from nfpde.sim.model import model_hash
 from nfpde.sim.past import recorded_motion
@@ -48,6 +50,7 @@ class MujocoSimulator(Simulator):
 
     Raises:
         BadModel, BadParameter, BadEffect: what cannot be used, and why.
+        BadInput: nthread is no whole number, or negative.
     """
 
     def __init__(
@@ -59,6 +62,8 @@ class MujocoSimulator(Simulator):
         nthread: int = 0,
         check_influence: bool = True,
     ) -> None:
+        effects = checked_effects(effects)
+        check_count(nthread, "nthread", 0)
         self.models = load_models(model)
         self.model = self.models[0]
         base, inside = split_space(space)
@@ -66,6 +71,7 @@ class MujocoSimulator(Simulator):
             raise BadParameter("give a parameter space or at least one effect; there is nothing to estimate")
         self.effects = [e.bind(self.model) for e in [*inside, *effects]]
         refuse_unlike_effects(self.effects, self.models)
+        refuse_taken(self.model, base, self.effects)
         self.space = ParameterSpace([*(base or ()), *(p for e in self.effects for p in e.parameters)])
         self.states = StateSpace.of_model(self.model)
         self.writer = ModelWriter(self.models, base, self.effects)

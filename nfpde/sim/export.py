@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from nfpde.effects import Effect
 from nfpde.effects.effect import overrides
-from nfpde.errors import BadEffect, BadModel, BadParameter
+from nfpde.errors import BadEffect, BadInput, BadModel, BadParameter
 from nfpde.parameters import ParameterSpace
-from nfpde.sim.acting import effect_columns, split_space
+from nfpde.sim.acting import checked_effects, effect_columns, split_space
 from nfpde.sim.fields import array_fields, get_field
 from nfpde.sim.model import compile_file
+from nfpde.sim.slots import DERIVED
 from nfpde.sim.writer import ModelWriter
 from nfpde.storage import write_whole
 
@@ -47,8 +48,8 @@ def export_mjcf(
     Args:
         model: MJCF or URDF file of the nominal model.
         effects: effects, not bound.
-        values: those of `space` first, if there is one, then those of the effects in order, (D,). Parameters of
-            effects may be neutral.
+        values: those of `space` first, if there is one, then those of the effects in order, (D,), within their
+            bounds. Parameters of effects may be neutral as well.
         out: file to write; its folder is made.
         space: parameters that are model fields, and after them those of effects, as a fit has them.
 
@@ -57,24 +58,25 @@ def export_mjcf(
 
     Raises:
         BadModel: no such file, one that MuJoCo cannot compile, or one that attaches models with meshes of one name.
-        BadParameter: the wrong number of values, one with which MuJoCo cannot compile the model (a negative mass), or
-            one that MJCF cannot hold.
+        BadInput: `out` is a folder.
+        BadParameter: the wrong number of values, one outside its bounds, one with which MuJoCo cannot compile the
+            model (moments of inertia that no body has), or one that MJCF cannot hold.
         BadEffect: an effect that acts while the simulation runs, which MJCF cannot say; `RandomizedParameters` of
             `nfpde.rl` gives it to a Gymnasium environment.
 
     Example:
         `export_mjcf("arm.xml", [effect("viscous_damping", "elbow", damping=(0, 1))], [0.4], "greasy_arm.xml")`
     """
+    effects = checked_effects(effects)
     path, out = Path(model), Path(out)
+    if out.is_dir():
+        raise BadInput(f"{out}: that is a folder; give the name of the file to write, such as {out / path.name}")
     spec, nominal = compile_file(path)
     mujoco.mj_setConst(nominal, mujoco.MjData(nominal))
-    xi = np.asarray(values, dtype=np.float64)
     base, inside = split_space(space)
     bound = [e.bind(nominal) for e in [*inside, *effects]]
     nbase = 0 if base is None else len(base)
-    count = nbase + sum(len(e.parameters) for e in bound)
-    if xi.shape != (count,) or not np.isfinite(xi).all():
-        raise BadParameter(f"export: expected {count} finite values, those of the space first, got {values!r}")
+    xi = _checked(values, base, bound)
     for e, columns in zip(bound, effect_columns(bound, nbase), strict=True):
         _refuse_hooks(e, xi[columns])
     target = copy.copy(nominal)
@@ -83,6 +85,7 @@ def export_mjcf(
     for field in changed:
         if field in _WRITERS:
             _WRITERS[field](spec, nominal, target)
+    _write_shorthands(spec, nominal, target)
     _find_files(spec, path)
     try:
         spec.compile()
@@ -93,6 +96,26 @@ def export_mjcf(
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, text)
     return out
+
+
+def _checked(values: ArrayLike, base: ParameterSpace | None, bound: Sequence[Effect]) -> NDArray[np.float64]:
+    """The values as an array (D,), each within its bounds or, of an effect, neutral."""
+    own = [(p, None) for p in base or ()]
+    known = [*own, *((p, q.neutral) for e in bound for p, q in zip(e.parameters, e.quantities, strict=True))]
+    try:
+        xi = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        xi = None
+    if xi is None or xi.shape != (len(known),) or not np.isfinite(xi).all():
+        raise BadParameter(f"export: expected {len(known)} finite values, those of the space first, got {values!r}")
+    for value, (p, neutral) in zip(xi, known, strict=True):
+        if not p.low <= value <= p.high and value != neutral:
+            also = "" if neutral is None else f", nor is it {neutral:g}, which does nothing"
+            raise BadParameter(
+                f"export: {p.name} = {value:g} lies outside [{p.low:g}, {p.high:g}]{also}; give a value within, or "
+                "other bounds"
+            )
+    return xi
 
 
 def _find_files(spec: mujoco.MjSpec, path: Path) -> None:
@@ -167,31 +190,44 @@ def _changes(nominal: mujoco.MjModel, target: mujoco.MjModel) -> list[str]:
 
 
 def _check(text: str, out: Path, target: mujoco.MjModel, changed: list[str]) -> None:
-    """Load what the file is to hold and compare all that was to change.
+    """Load what the file is to hold and compare it with what was to be written, what was not to change included.
 
     Raises:
         BadModel: what MuJoCo itself cannot load, or loads with other meshes.
-        BadParameter: a field that did not arrive.
+        BadParameter: a field that did not arrive, or one that came along.
     """
     try:
         found = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         raise BadModel(f"{out}: what MuJoCo writes of this model it cannot read again: {_line(error)}") from None
     mujoco.mj_setConst(found, mujoco.MjData(found))
-    wrong = [f for f in changed if not f.startswith(_FOLLOW) and not _close(get_field(target, f), get_field(found, f))]
-    if not wrong and not _close(_inertias(target), _inertias(found)):
-        wrong = ["body_inertia"]
     if not _close(target.mesh_vert, found.mesh_vert):
         raise BadModel(
             f"{out}: what MuJoCo writes of this model has other meshes; where attached models have files of the same "
             "name, give each a name of its own"
         )
+    other = [f for f in array_fields(target) if not _close(get_field(target, f), get_field(found, f))]
+    wrong = [f for f in other if f in changed and not f.startswith(_FOLLOW)]
+    if not wrong and not _close(_inertias(target), _inertias(found)):
+        wrong = ["body_inertia"]
     if wrong:
         raise BadParameter(f"{out}: an MJCF file made from this model cannot hold the changed field {wrong[0]}")
+    moved = [f for f in other if not f.startswith((*_FOLLOW, *_SAID_OTHERWISE)) and not f.endswith(DERIVED)]
+    if moved:
+        raise BadParameter(
+            f"{out}: an MJCF file made from this model would change {moved[0]} as well, which the model's file leaves "
+            f"to MuJoCo to work out; give it there as a number. Changed on purpose: {', '.join(changed) or 'nothing'}"
+        )
 
 
 _FOLLOW = ("bvh_", "body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe")
 """Fields that follow from others, or that a file may say in another way: principal axes in another order."""
+
+_SAID_OTHERWISE = (
+    *("body_simple", "dof_simplenum", "geom_size", "site_size", "M_", "D_", "B_", "map", "efm"),
+    *("geom_matid", "geom_rgba", "site_matid", "site_rgba", "tendon_matid", "tendon_rgba", "actuator_history"),
+)
+"""More of that kind, where nothing changes them: how matrices are stored, sizes that a shape has not, looks."""
 
 
 def _close(want: NDArray[Any], got: NDArray[Any]) -> bool:
@@ -257,6 +293,30 @@ def _limits(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel
     for joint in spec.joints:
         if target.jnt_actfrclimited[joint.id]:
             joint.actfrclimited, joint.actfrcrange = 1, target.jnt_actfrcrange[joint.id]
+
+
+def _write_shorthands(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    """Give numbers in place of what MuJoCo would work out anew from the changed masses.
+
+    Those are the damping of a servo that is said as a ratio, and stiffness and damping of a joint that are said as a
+    time and a ratio.
+    """
+    for actuator in spec.actuators:
+        i = actuator.id
+        said = np.concatenate([actuator.gainprm, actuator.biasprm])
+        if not np.array_equal(said, np.concatenate([nominal.actuator_gainprm[i], nominal.actuator_biasprm[i]])):
+            actuator.gainprm, actuator.biasprm = target.actuator_gainprm[i], target.actuator_biasprm[i]
+    for joint in spec.joints:
+        if not any(joint.springdamper):
+            continue
+        joint.springdamper = np.zeros(2)
+        for name, value in (
+            ("stiffness", target.jnt_stiffness[joint.id]),
+            ("damping", target.dof_damping[nominal.jnt_dofadr[joint.id]]),
+        ):
+            values = np.array(getattr(joint, name), dtype=np.float64)
+            values[0] = value
+            setattr(joint, name, values)
 
 
 def _option(name: str) -> Callable[..., None]:

@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.elements import element_names
+from nfpde.effects import Effect
+from nfpde.elements import element_ids, element_names
 from nfpde.errors import BadParameter
-from nfpde.parameters import UNITS
+from nfpde.parameters import UNITS, ParameterSpace
 from nfpde.sim.slots import Slot
 
 Array = NDArray[np.float64]
@@ -96,6 +97,28 @@ def refuse_weightless(model: mujoco.MjModel, data: mujoco.MjData, slots: Sequenc
             f"{', '.join(names)}: with all parameters at their lower bounds joint {joint!r} moves something without "
             "inertia, which MuJoCo cannot simulate; raise a lower bound above 0 or give the joint an armature"
         )
+
+
+def refuse_taken(model: mujoco.MjModel, space: ParameterSpace | None, effects: Sequence[Effect]) -> None:
+    """Raise where a parameter changes what an effect takes from the nominal model, and would go on taking from there.
+
+    Args:
+        model: the nominal model.
+        space: parameters that are model fields.
+        effects: bound effects.
+
+    Raises:
+        BadParameter: the parameter, the effect, the way out.
+    """
+    for p in space or ():
+        for e in effects:
+            if p.field not in e.taken_fields:
+                continue
+            if np.isin(element_ids(model, "actuator", p.target, p.name), e.actuators()).any():
+                raise BadParameter(
+                    f"{p.name}: the effect {e.name} on {e.place} takes {p.field} from the model, and would not see "
+                    "this parameter; set the value in the model and leave the parameter out, or leave the effect out"
+                )
 
 
 def _reach(slot: Slot) -> tuple[Array, Array]:

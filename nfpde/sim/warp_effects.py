@@ -16,10 +16,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from nfpde.effects import Effect
+from nfpde.effects.drive import switched_off
 from nfpde.effects.effect import overrides
 from nfpde.errors import BadEffect
 from nfpde.kernels import backlash, commands, drives, forces, friction, gates, sensors
-from nfpde.sim.acting import effect_columns
+from nfpde.sim.acting import effect_columns, in_step_order
 
 Array = NDArray[np.float64]
 
@@ -57,14 +58,16 @@ class Launch:
     memory: int = 0
 
 
+_CLAMPED = ("ctrls", "low", "high")
+
 COMMANDS = {
-    "actuation_delay": Launch(commands._delay_commands, ("ctrls",)),
+    "actuation_delay": Launch(commands._delay_commands, _CLAMPED),
     "actuator_bias": Launch(commands._offset_commands, ("ctrls",)),
-    "actuator_lag": Launch(commands._lag_commands, ("ctrls",)),
+    "actuator_lag": Launch(commands._lag_commands, _CLAMPED),
     "backlash_command": Launch(commands._play_commands, ("drives.ctrls", "drives.low", "drives.high", "gears")),
     "dead_zone": Launch(drives._cut_commands, ("motors.ctrls", "motors.low", "motors.high")),
     "dead_zone_gate": Launch(gates._gate_commands, ("motors.ctrls", "motors.low", "motors.high")),
-    "observation_delay": Launch(commands._delay_commands, ("ctrls",)),
+    "observation_delay": Launch(commands._delay_commands, _CLAMPED),
 }
 """Effects on commands; all kernels have the same other arguments, see `nfpde.kernels.commands`."""
 
@@ -149,7 +152,7 @@ class WarpEffects:
         self.nbase = nbase
         self.nvalue = sum(len(e.parameters) for e in effects)
         self.on_command = [i for i, e in enumerate(effects) if overrides(e, "command")]
-        self.on_step = [i for i, e in enumerate(effects) if overrides(e, "step")]
+        self.on_step = in_step_order(effects)
         self.on_sensor = [i for i, e in enumerate(effects) if e.name in SENSORS]
         self.step_fields = sorted(
             {f for i in self.on_step for f in STEPS[effects[i].name].changes if f not in _OF_DATA}
@@ -269,7 +272,8 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         effect: bound.
         model: as the worlds share it.
         name: an attribute with ids, of the effect (`dofs`) or of actuators it holds (`motors.ctrls`). Of actuators
-            also `low` and `high`, to which their commands are clamped, and `kind`, see `nfpde.kernels.drives`.
+            and commands also `low` and `high`, to which commands are clamped; of actuators `kind`, see
+            `nfpde.kernels.drives`.
     """
     head, _, tail = name.rpartition(".")
     owner: Any = getattr(effect, head) if head else effect
@@ -283,6 +287,7 @@ def numbers_of(effect: Effect, model: mujoco.MjModel, name: str) -> NDArray[Any]
         affine = int(mujoco.mjtGain.mjGAIN_AFFINE), int(mujoco.mjtBias.mjBIAS_AFFINE)
         bits = (model.actuator_gaintype[ids] == affine[0]) + 2 * (model.actuator_biastype[ids] == affine[1])
         bits = bits + 4 * (model.actuator_forcelimited[ids] != 0) + 8 * (model.jnt_actfrclimited[owner.joints] != 0)
+        bits = bits + 16 * switched_off(model, ids)
         return bits.astype(np.int32)
     numbers = np.asarray(getattr(owner, tail))
     return numbers.astype(np.float32 if numbers.dtype.kind == "f" else np.int32)

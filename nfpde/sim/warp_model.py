@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from nfpde.effects.drive import switched_off
 from nfpde.errors import BadModel
 from nfpde.kernels import rows as kernels
 from nfpde.parameters import ParameterSpace
@@ -300,6 +301,12 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
             "MuJoCo Warp cannot run this model: its actuators of type user call functions on the host. Give them "
             "another gaintype and biastype, or use device='cpu'"
         )
+    off = np.flatnonzero(switched_off(model, np.arange(model.nactuator)))
+    if len(off) and not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
+        raise BadModel(
+            f"MuJoCo Warp cannot run this model: its option actuatorgroupdisable switches off actuator #{off[0]}, and "
+            "MuJoCo Warp lets it act. Give that actuator no gain and no bias, or use device='cpu'"
+        )
     passive = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and model.opt.disableflags & passive == passive:
         # it calls `flag_overflow` after the passive forces, if it computes any; itself it looks at the end of a step
@@ -309,7 +316,8 @@ def _put(model: mujoco.MjModel) -> mjw.Model:
             "or damping 0 where there is none), take another integrator, or use device='cpu'"
         )
     model = copy.copy(model)
-    for friction in (model.geom_friction, model.pair_friction):  # MuJoCo does so in every contact, MuJoCo Warp not
+    # MuJoCo and MuJoCo Warp 4.0 do so in every contact anyway; here the device holds what acts
+    for friction in (model.geom_friction, model.pair_friction):
         np.maximum(friction, mujoco.mjMINMU, out=friction)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
