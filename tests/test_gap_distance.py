@@ -1,5 +1,8 @@
 """The distance between recorded and simulated states: known shifts, rotations, and a diagnosis that closes it."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -87,6 +90,39 @@ def test_rotations_are_compared_as_rotations():
     # the tangent space is that at the first pose, with which all turns share their axis
     assert found.before == pytest.approx(0.1 / angle[1:].std(), rel=1e-6)
     assert found.after_parameters == pytest.approx(0.0, abs=1e-7)
+
+
+def test_noise_of_a_turn_goes_on_behind_half_a_turn():
+    """A yaw all round: simulations that err by as much as the noise lie as near as noise does."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    states, rng = StateSpace.of_model(model), np.random.default_rng(0)
+    yaw, error = rng.uniform(-np.pi, np.pi, 300), 0.15 * rng.normal(size=300)
+    yaw[0] = 0.0
+
+    def turned(angle):
+        out = np.zeros((len(angle), 13))
+        out[:, 3], out[:, 6] = np.cos(angle / 2), np.sin(angle / 2)
+        return out
+
+    noise = np.zeros((300, 12))
+    noise[:, 5] = error
+    windows: Any = SimpleNamespace(target=turned(yaw)[:, None])
+    found = distance(states, windows, [turned(yaw + error)] * 3, noise)
+    assert found.noise_floor == pytest.approx(found.before, rel=1e-9)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.5])
+def test_a_channel_that_hardly_moves_counts_little(sigma):
+    """Beside one that spreads by 5 it counts in a hundredth of that, or in its sensor's noise, where that is more."""
+    rng = np.random.default_rng(4)
+    space = StateSpace.euclidean(["a", "b"], ["a", "b"])
+    real = rng.normal(size=(200, 4)) * [5.0, 1e-4, 1.0, 1.0]
+    windows = ends_of(real)
+    shift = np.array([0.0, 0.1, 0.0, 0.0])
+    found = distance(space, windows, [real + shift, real, real], np.zeros((200, 4)), np.full(4, sigma))
+    assert found.before == pytest.approx(0.1 / (sigma or 0.01 * real[:, 0].std()), rel=1e-6)
 
 
 def test_a_diagnosis_closes_the_distance():

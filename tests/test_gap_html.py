@@ -215,7 +215,7 @@ def test_prediction_that_blows_up_does_not_flatten_the_trace(robots):
     wild[10:] = [1e3, 1e6, 1e9, np.inf, np.nan, *[1e12] * 6]
     source = page(replace(report, traces=[replace(trace, before=wild)]))
     drawn = re.search(
-        r'class="line measured" d="(M[^"]*)"', source[source.index("The worst held-out") :].split("panels")[1]
+        r'class="line measured" d="(M[^"]*)"', source[source.index("The worst windows") :].split("panels")[1]
     )
     assert drawn
     heights = [float(part.split()[1]) for part in re.split("[ML]", drawn[1])[1:]]

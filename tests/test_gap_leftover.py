@@ -1,11 +1,15 @@
 """The force that is left over: whose commands, positions and units it is shown against."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 
 from nfpde.dataset import Windows
-from nfpde.gap.leftover import Leftover, describe
+from nfpde.gap.leftover import Leftover, describe, leftover
+from nfpde.gap.noise import learn_scatter
 from nfpde.gap.where import Forces
 
 MODEL = """
@@ -65,3 +69,55 @@ def test_positions_and_units(model, dof, joint, unit, a_window):
     start = 1.0 if dof == 2 else 0.0
     np.testing.assert_allclose(found.position, start + a_window * np.arange(6), atol=1e-12)
     np.testing.assert_allclose(found.speed, dof)
+
+
+COUNT = 120
+SLIDER = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0"/><geom size=".1"/></body></worldbody>
+</mujoco>"""
+
+
+def remaining(force, noise, quiet, believed):
+    """What is left where windows lack a force (N,) of a slide's position, and noise (N, 1, C) adds to that.
+
+    `quiet` are draws of the noise, `believed` is what the scatter is learned from.
+    """
+    model = mujoco.MjModel.from_xml_string(SLIDER)
+    position = np.linspace(-1, 1, COUNT)
+    state = np.tile(np.stack([position, 0 * position], axis=1)[:, None], (1, 3, 1))
+    nothing = np.empty((COUNT, 0, 0))
+    windows = Windows(state, np.empty((COUNT, 2, 0)), nothing, 0.01, 1, 1, np.zeros(COUNT, int), np.arange(COUNT))
+    scatter = learn_scatter(believed, 0, 1e-6 * np.ones(noise.shape[1:]))
+    needed = force[:, None] + 0.0
+    found = Forces(needed, np.full((COUNT, 1), 0.01), np.ones((1, *noise.shape)), needed**2)
+    recordings: Any = SimpleNamespace(fit=windows, held=windows)
+    left = noise - force[:, None, None]
+    left[7] = np.nan  # it diverged
+    return leftover(recordings, found, found, scatter, left, quiet, model).share
+
+
+def draws(seed, degrees):
+    """Noise with tails of Student's t, or none where the degrees are infinite."""
+    rng = np.random.default_rng(seed)
+    size = np.sqrt(degrees / rng.chisquare(degrees, (4000, 1, 1))) if np.isfinite(degrees) else 1.0
+    every = 0.01 * rng.normal(size=(4000, 1, 4)) * size
+    return every[:COUNT], every[COUNT:]
+
+
+@pytest.mark.parametrize("degrees", [3.0, np.inf])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_force_takes_nothing_away_where_noise_is_all(seed, degrees):
+    """Whatever the tails, and however much larger the noise is than the scatter believes it: no share of nothing."""
+    noise, quiet = draws(seed, degrees)
+    idle = 0.001 * np.sin(np.arange(COUNT))
+    for believed in (quiet, 0.5 * quiet, 2.0 * quiet):
+        assert remaining(idle, noise, quiet, believed) == 0.0
+
+
+@pytest.mark.parametrize("believed", [0.5, 1.0, 2.0])
+def test_a_force_of_position_takes_away_what_is_beyond_noise(believed):
+    """All of it and never more, though the scatter misjudges the noise by a factor of two."""
+    noise, quiet = draws(9, np.inf)
+    at = np.linspace(-1, 1, COUNT)
+    # the force stands 50 times beyond the noise, in squares
+    share = remaining(0.1 * np.sign(at) * np.sqrt(np.abs(at)), noise, quiet, believed * quiet)
+    assert 0.95 < share <= 1.0

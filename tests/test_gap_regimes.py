@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nfpde.dataset import Dataset, Episode
+from nfpde.dataset import Dataset, Episode, Windows
 from nfpde.gap import diagnose_gap
 from nfpde.gap.regimes import questions
 from nfpde.gap.report import GapMap
@@ -175,3 +175,44 @@ def test_a_body_that_goes_one_way_turns_round_nowhere():
     qvel[2, 5] = -0.3
     swaying = asked(model, windows_of(model, np.tile(model.qpos0, (9, 1)), qvel))["motion"]
     assert answers(swaying, 0) == ["reversal", "fast"]
+
+
+def test_metres_and_radians_of_a_body_count_each_in_their_own():
+    """One that goes straight on at 0.6 m/s, and then spins at 15 rad/s, rests in neither."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint name='root'/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    qvel = np.zeros((17, 6))
+    qvel[:5, 0], qvel[5:9, 5], qvel[9:, 0] = 0.6, 15.0, 0.01
+    windows = windows_of(model, np.tile(model.qpos0, (17, 1)), qvel)
+    for millimetres in (False, True):
+        state = windows.state.copy()
+        state[:, :, 7:10] *= 1000 if millimetres else 1
+        motion = asked(model, replace(windows, state=state))["motion"]
+        assert [answers(motion, 0)[i] for i in (0, 1, 3)] == ["fast", "fast", "rest"]
+
+
+CLOTH = """
+<mujoco><worldbody><geom name="floor" type="plane" size="2 2 .1"/>
+<flexcomp name="c" type="grid" count="3 3 1" spacing=".1 .1 .1" pos="0 0 .02" radius=".03" dim="2" mass=".1">
+  <contact selfcollide="none"/><edge equality="true"/></flexcomp>
+<body pos="1 0 2"><joint name="arm" axis="0 1 0"/>
+  <geom name="arm" type="capsule" fromto="0 0 0 .3 0 0" size=".02"/></body></worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize("ball", ["", '<body pos="0 0 .06"><freejoint/><geom name="ball" size=".04"/></body>'])
+def test_what_is_flexible_touches_where_it_hangs(ball):
+    """A cloth on the floor is no contact of the arm two metres above it, whose geom comes last."""
+    model = mujoco.MjModel.from_xml_string(CLOTH.replace('<body pos="1', ball + '<body pos="1'))
+    state = np.tile(np.hstack([model.qpos0, np.zeros(model.nv)]), (6, 3, 1))
+    state[:3, :, 2:27:3] += 1.0  # the cloth's vertices slide along x, y and z
+    nothing = np.empty((6, 0, model.nu))
+    windows = Windows(
+        state, np.zeros((6, 2, model.nu)), nothing, 0.01, model.nq, model.nv, np.zeros(6, int), np.arange(6)
+    )
+    contact = asked(model, windows)["contact"]
+    assert set(answers(contact, model.joint("arm").id)) == {"in flight"}
+    assert answers(contact, 2) == ["in flight"] * 3 + ["in contact"] * 3
+    if ball:  # it lies in the cloth
+        assert answers(contact, int(model.body_jntadr[model.geom("ball").bodyid[0]]))[3:] == ["in contact"] * 3

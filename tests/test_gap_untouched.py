@@ -11,9 +11,9 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap.acceptance import LEAST_GAP
-from nfpde.gap.answer import Outcome
 from nfpde.gap.found import Found
 from nfpde.gap.levels import NEAR_FLOOR, Yardstick
+from nfpde.gap.outcome import Outcome
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.search import Search
@@ -264,7 +264,7 @@ def test_a_joint_that_touches_something_is_not_asked_by_itself():
 
 def test_its_own_windows_tell_how_well_values_are_known(monkeypatch):
     """Where joints that touch nothing told what was found, the others' jumps say nothing of it."""
-    monkeypatch.setattr("nfpde.gap.answer.standard_errors", lambda court, fit: (court, fit))
+    monkeypatch.setattr("nfpde.gap.outcome.standard_errors", lambda court, fit: (court, fit))
 
     def stage(name: str) -> Any:
         fitter = SimpleNamespace(resolved=lambda fit: f"slopes of {fit}")

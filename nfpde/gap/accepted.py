@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from nfpde.effects import Effect
+from nfpde.gap.fit import Fit
 from nfpde.gap.trial import Trial
 
 
@@ -16,7 +17,7 @@ class Accepted:
 
     effect: the effect
     trial: it and everything accepted before, when it was accepted
-    rivals: other effects that explain the same there
+    rivals: other effects that explain the same there, or later, beside more that was accepted; see `beside`
     close: that left nearly as little of the gap there, told apart or not
     field: all that were refitted there, it included
     """
@@ -37,6 +38,11 @@ class Accepted:
 def key(effect: Effect) -> tuple[str, str]:
     """Name and place, of each reading of an effect its own."""
     return effect.name, effect.place
+
+
+def beside(fit: Fit) -> frozenset[tuple[str, str]]:
+    """The effects that the last one of a fit stands beside."""
+    return frozenset(key(effect) for effect in fit.replay.effects[:-1])
 
 
 def called(effect: Effect) -> tuple[str, str]:

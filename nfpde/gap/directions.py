@@ -32,7 +32,7 @@ hundredth of its square is left, as little as `FLOOR_ERROR` leaves alone."""
 class Directions:
     """Whitens the residuals of each window; the size of every channel stays what it is on average.
 
-    turn: symmetric matrices (N, nv C, nv C)
+    turn: matrices (N, nv C, nv C)
     """
 
     turn: Array

@@ -6,10 +6,14 @@ import math
 from collections.abc import Sequence
 
 from nfpde.gap.html_svg import number, percent, table, text
-from nfpde.gap.report import Cause, Fitted, GapReport
+from nfpde.gap.report import Cause, Fitted, GapReport, Level
 
 _FIRST = 10
 """Causes shown at once; the others unfold."""
+
+
+_ABOVE = 1.0
+"""Powers of ten above the nominal model's gap that a scale shows, at most."""
 
 
 def called(effect: str, target: str) -> str:
@@ -18,9 +22,12 @@ def called(effect: str, target: str) -> str:
 
 
 def scale(values: Sequence[float]) -> tuple[float, float]:
-    """Ends of a logarithmic scale, as powers of ten: a decade or more, where the smallest value still has a bar."""
+    """Ends of a logarithmic scale, as powers of ten: a decade or more, where the smallest value still has a bar.
+
+    What is more than a decade above the nominal model's, at 1, is cut off: beside it nothing else would be told apart.
+    """
     logs = [math.log10(v) for v in values if math.isfinite(v) and v > 0] or [0.0]
-    low, high = min(logs), max(max(logs), 0.0)
+    low, high = min(min(logs), _ABOVE), min(max(max(logs), 0.0), _ABOVE)
     low = max(low - 0.12 * max(high - low, 1.0), high - 9)
     return min(low, high - 1.1), high
 
@@ -48,8 +55,13 @@ def ladder(report: GapReport) -> str:
     out.append(f'<div class="gone"></div><div class="axis">{axis}</div><div class="gone"></div>')
     return (
         f'<div class="ladder">{"".join(out)}</div><p class="small soft">Mean squared error of the predictions on the '
-        "held-out episodes in units of the noise, relative to the nominal model. The scale is logarithmic.</p>"
+        f"held-out episodes in units of the noise, {relative(report.gap)}. The scale is logarithmic.</p>"
     )
+
+
+def relative(gap: Level) -> str:
+    """What a ladder counts in."""
+    return "relative to the nominal model" if gap.before >= 1 else "relative to what rounding may do"
 
 
 def distance(report: GapReport) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.html_causes import scale
+from nfpde.gap.html_causes import relative, scale
 from nfpde.gap.html_svg import Panel, number, percent, span, text
 from nfpde.gap.report import GapReport, ResidualForce, Trace
 
@@ -66,7 +66,7 @@ def horizons(report: GapReport) -> str:
         (10.0**bottom, 1.2 * 10.0**top),
         "Gap by how far ahead is predicted",
         "horizon [s]",
-        "relative to the nominal model",
+        relative(report.gap),
         log=True,
         y_text=percent,
     )
@@ -89,14 +89,16 @@ def residual_force(force: ResidualForce) -> str:
     panels = []
     keep = np.isfinite(force.force) & np.isfinite(force.error)
     y, error = force.force[keep], force.error[keep]
-    upward = span(y - error, y + error) if len(y) else (-1.0, 1.0)
+    # a window that tells next to nothing of the force must not flatten what the others tell
+    low, high = span(y, pad=1.0)
+    upward = span(np.maximum(y - error, low), np.minimum(y + error, high)) if len(y) else (-1.0, 1.0)
     for name, values in axes:
         x = values[keep]
         panel = Panel(span(x), upward, f"against {name.split()[0]}", name, f"force [{force.unit}]")
         panel.line(np.array(panel.x), np.zeros(2), "nominal")
         for a, f, e in zip(x.tolist(), y.tolist(), error.tolist(), strict=True):
             if np.isfinite(a):
-                panel.bar(a, f - e, f + e, "after")
+                panel.bar(a, max(f - e, upward[0]), min(f + e, upward[1]), "after")
                 panel.dot(a, f, "after", 2.2)
         panels.append(panel.svg())
     what = f"A smooth force of these three and time would remove <b>{percent(force.share)}</b> of what is left."
@@ -104,6 +106,6 @@ def residual_force(force: ResidualForce) -> str:
         what = "A smooth force of these three and time removes next to nothing of it: its cause lies elsewhere."
     return (
         f"<p>The force on <b>{text(force.joint)}</b> that the model still lacks, one point for each held-out window "
-        f"with its standard error. {what}</p>"
+        f"that shows it, with its standard error. {what}</p>"
         f'<div class="panels">{"".join(panels)}</div>'
     )

@@ -60,7 +60,7 @@ def page(report: GapReport) -> str:
         ("Causes, ranked", ranking(report)),
         ("What cannot be told apart", rivals(report)),
         ("Where and when: joint by regime", gap_map(report)),
-        ("The worst held-out windows, before and after", traces(report)),
+        ("The worst windows, before and after", traces(report)),
     ]
     if (force := report.residual_force) is not None:
         below.insert(0, ("The force that is left over", residual_force(force)))

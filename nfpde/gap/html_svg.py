@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+_LARGE = 9999.5
+"""Percent from which on powers of ten are written."""
+
+
 def text(value: object) -> str:
     """Anything as text that HTML cannot mistake for markup."""
     return html.escape(str(value), quote=True)
@@ -28,10 +32,15 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def percent(value: float) -> str:
-    """A share in percent with two digits that count, three just below the whole; a dash for what is not a number."""
-    if not math.isfinite(value):
-        return "–"
+    """A share in percent with two digits that count, three just below the whole; a dash for what is not a number.
+
+    What is far more than the whole is written as a power of ten.
+    """
     size = abs(100 * value)
+    if not math.isfinite(size):
+        return "–"
+    if size >= _LARGE:
+        return f"{100 * value:.1e}%"
     if 0.985 < value < 1:
         return f"{100 * value:.1f}%"
     if size >= 9.95:

@@ -21,13 +21,17 @@ Array = NDArray[np.float64]
 _KNOTS = 12
 _RIDGES = np.logspace(-3, 3, 13)
 
+_CLEAR = 3.0
+"""Standard errors of the mean of noise alone, by which residuals must be beyond it for a share of that to mean
+anything."""
+
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
     """What a smooth force on one degree of freedom takes away on held-out windows.
 
     dof: the degree of freedom
-    share: of the squared whitened residual beyond noise that it removes there
+    share: of the squared whitened residual beyond noise that it removes there, 0 to 1; none where noise may be all
     held: forces that the held-out windows lack
     """
 
@@ -37,7 +41,13 @@ class Leftover:
 
 
 def leftover(
-    recordings: Recordings, fit: Forces, held: Forces, noise: Scatter, residuals: Array, model: mujoco.MjModel
+    recordings: Recordings,
+    fit: Forces,
+    held: Forces,
+    noise: Scatter,
+    residuals: Array,
+    quiet: Array,
+    model: mujoco.MjModel,
 ) -> Leftover:
     """Fit a smooth force of position, speed, command and time to one half, and apply it to the other.
 
@@ -49,10 +59,16 @@ def leftover(
         held: The same in the held-out windows.
         noise: Scatter of the residuals when nothing is missing.
         residuals: Of the final model in the held-out windows (N, nv, C).
+        quiet: Residuals that noise alone gives (draws, nv, C): their white squares have no mean of one where the
+            scatter has heavy tails or a floor.
         model: Its actuators tell which command belongs to which degree of freedom.
     """
-    white = noise.whiten(residuals)
-    before = (white**2).sum((1, 2))
+    # what diverged is as bad with any force
+    sound = np.isfinite(residuals).all((1, 2))
+    before = (noise.whiten(residuals[sound]) ** 2).sum((1, 2))
+    alone = (noise.whiten(quiet[np.isfinite(quiet).all((1, 2))]) ** 2).sum((1, 2))
+    beyond = float(before.mean() - alone.mean()) if sound.any() and len(alone) else 0.0
+    clear = beyond > _CLEAR * float(alone.std(ddof=1)) / np.sqrt(len(before)) if len(alone) > 1 else False
     best: Leftover | None = None
     most = held.energy.sum(0)
     joint = int(model.dof_jntid[int(most.argmax())])
@@ -61,9 +77,10 @@ def leftover(
         a = _features(_inputs(model, recordings.fit, int(dof)), knots)
         b = _features(_inputs(model, recordings.held, int(dof)), knots)
         force = b @ _ridge(a, fit.value[:, dof], fit.error[:, dof])
-        after = (noise.whiten(residuals + force[:, None, None] * held.response[dof]) ** 2).sum((1, 2))
-        beyond = max(float(before.mean()) - residuals[0].size, 1e-300)
-        found = Leftover(int(dof), float((before - after).mean() / beyond), held)
+        pushed = residuals + force[:, None, None] * held.response[dof]
+        after = (noise.whiten(pushed[sound]) ** 2).sum((1, 2))
+        share = float(np.clip((before - after).mean() / beyond, 0.0, 1.0)) if clear else 0.0
+        found = Leftover(int(dof), share, held)
         if best is None or found.share > best.share:
             best = found
     if best is None:

@@ -57,12 +57,23 @@ def _motion(model: mujoco.MjModel, windows: Windows) -> NDArray[np.intp]:
     out = np.empty((len(windows), model.njnt), dtype=np.intp)
     for j in range(model.njnt):
         v = speed[:, :, joint_dofs(model, np.array([j]))]
-        size = np.linalg.norm(v, axis=2)
+        size = _size(model, j, v)
         rest = size.max(1) <= _REST * size.max()
         turns = ((v.min(1) < 0) & (v.max(1) > 0)).any(1)
         slow = size.mean(1) < np.sqrt((size**2).mean())
         out[:, j] = np.select([rest, turns, slow], [0, 1, 2], 3)
     return out
+
+
+def _size(model: mujoco.MjModel, joint: int, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How fast a joint moves (N, H + 1), of its speeds (N, H + 1, dofs).
+
+    Of a free joint metres and radians have no sum: each counts in the largest there is.
+    """
+    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        return np.linalg.norm(speed, axis=2)
+    kinds = [np.linalg.norm(part, axis=2) for part in np.split(speed, [3], axis=2)]
+    return np.linalg.norm([kind / max(float(kind.max(initial=0.0)), 1e-300) for kind in kinds], axis=0)
 
 
 def _time(windows: Windows, joints: int) -> NDArray[np.intp]:
@@ -87,14 +98,39 @@ def _poses(model: mujoco.MjModel, windows: Windows) -> tuple[NDArray[np.bool_], 
                 data.qpos[:], data.qvel[:] = windows.state[n, h, :nq], windows.state[n, h, nq:]
                 data.ctrl[:] = windows.ctrl[n, min(h, count - 2)]
                 mujoco.mj_fwdPosition(model, data)
-                acting = data.contact.efc_address >= 0
-                bodies = model.geom_bodyid[data.contact.geom[acting]]
-                touching[n, h] = (carried[:, bodies[:, 0]] ^ carried[:, bodies[:, 1]]).any(1)
+                acting = np.flatnonzero(data.contact.efc_address >= 0)
+                one, other = (_touched(model, data, carried, acting, side) for side in (0, 1))
+                touching[n, h] = (one ^ other).any(1)
                 if h < count - 1:
                     mujoco.mj_fwdVelocity(model, data)
                     mujoco.mj_fwdActuation(model, data)
                     saturated[n] |= _saturated(model, data, drives)
     return touching, saturated
+
+
+def _touched(
+    model: mujoco.MjModel, data: mujoco.MjData, carried: NDArray[np.bool_], contacts: NDArray[np.intp], side: int
+) -> NDArray[np.bool_]:
+    """Whether a joint carries what touches on one side of contacts (joints, contacts)."""
+    geoms = data.contact.geom[contacts, side]
+    flexible = geoms < 0  # no geom stands for what is flexible
+    bodies = np.zeros(len(contacts), np.intp)
+    bodies[~flexible] = model.geom_bodyid[geoms[~flexible]]
+    found = carried[:, bodies]
+    for i in np.flatnonzero(flexible):
+        found[:, i] = carried[:, _flexed(model, data, int(contacts[i]), side)].any(1)
+    return found
+
+
+def _flexed(model: mujoco.MjModel, data: mujoco.MjData, contact: int, side: int) -> NDArray[np.intp]:
+    """The bodies on which what is flexible hangs where it touches: those of a vertex, or of an element's vertices."""
+    flex, element, vertex = (int(x[contact, side]) for x in (data.contact.flex, data.contact.elem, data.contact.vert))
+    vertices = np.array([vertex])
+    if vertex < 0:
+        count = int(model.flex_dim[flex]) + 1
+        vertices = model.flex_elem[int(model.flex_elemdataadr[flex]) + element * count :][:count]
+    bodies = model.flex_vertbodyid[int(model.flex_vertadr[flex]) + vertices]
+    return bodies[bodies >= 0]  # a vertex between nodes hangs on none of its own
 
 
 def _carried(model: mujoco.MjModel) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ class Fitted:
     high: float
     unit: str
     at_bound: bool = False
-    """The value leans on the end of its admissible range: a finding in itself."""
+    """The value leans on the end of its admissible range, and does something there: a finding in itself."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Level:
-    """Mean squared whitened residual on held-out episodes, relative to the nominal model's at the same horizon."""
+    """Mean squared whitened residual on held-out episodes, relative to the nominal model's at the same horizon.
+
+    Where the nominal model reproduces the recordings to rounding, relative to what rounding may do: `before` is less
+    than 1 then.
+    """
 
     before: float
     after_parameters: float
@@ -145,7 +149,7 @@ class GapMap:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One held-out window: what was measured and what was predicted, of the channel that was worst.
+    """One window: what was measured and what was predicted, of the channel that was worst.
 
     time: seconds into the episode (H + 1,); the others likewise, in `unit`
     """
@@ -166,7 +170,8 @@ class ResidualForce:
     """A free-form force on one joint that the accepted effects leave over.
 
     share: of the gap left over that a smooth force of position, speed, command and time removes, on held-out episodes
-    position, speed, command: of every held-out window (windows,); force: its estimate there, error: its standard error
+    position, speed, command: of every held-out window (windows,); force: its estimate there, error: its standard error,
+      infinite where a window shows nothing of it
     """
 
     joint: str

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.elements import actuator_ctrls, element_names
 from nfpde.gap.fit import Fit
 from nfpde.sim import StateSpace
 
@@ -19,11 +18,18 @@ Array = NDArray[np.float64]
 _DURATION = 1.0
 """Length of a proposed experiment [s]."""
 
-_MOST_STEPS = 200
+_FEWEST_STEPS = 10
+"""Control steps of one, at least: where these are long it takes longer."""
+
+_STEP_AT = 0.2
+"""Share of an experiment after which commands step."""
+
+_RESOLVED = 0.25
+"""Share of the control rate up to which a sine is one: of fewer than four commands a period nothing like it is left."""
 
 
 def separating_experiment(a: Fit, b: Fit, windows: Windows, sigma: Array, names: tuple[str, str]) -> str:
-    """The excitation on which two fitted explanations differ most, in words.
+    """The excitation on which two fitted explanations differ most, in words that say what was simulated.
 
     Args:
         a: One explanation.
@@ -33,7 +39,7 @@ def separating_experiment(a: Fit, b: Fit, windows: Windows, sigma: Array, names:
         names: What to call the two.
     """
     model, states = a.replay.sim.model, a.replay.sim.states
-    steps = int(np.clip(round(_DURATION / windows.control_dt), 10, _MOST_STEPS))
+    steps = max(round(_DURATION / windows.control_dt), _FEWEST_STEPS)
     if model.nu == 0:
         return "Release the robot from other positions and speeds than those recorded."
     best: tuple[float, str, str] | None = None
@@ -51,31 +57,79 @@ def separating_experiment(a: Fit, b: Fit, windows: Windows, sigma: Array, names:
 
 
 def _proposals(model: mujoco.MjModel, windows: Windows, steps: int) -> list[tuple[str, Windows]]:
-    """Commands as texts and windows of `steps` control steps, from a start at rest near the recorded positions."""
+    """Commands as texts and windows of `steps` control steps, from a start at rest near the recorded positions.
+
+    Every command goes between two values, about the middle of its recorded range and inside its control range.
+    """
     ctrl = windows.ctrl.reshape(-1, model.nu)
-    middle, span = np.median(ctrl, axis=0), 0.5 * (ctrl.max(0) - ctrl.min(0))
-    span = np.where(span > 0, span, 1.0)
-    low, high = model.actuator_ctrlrange.T
+    middle, half = 0.5 * (ctrl.max(0) + ctrl.min(0)), 0.5 * (ctrl.max(0) - ctrl.min(0))
+    half = np.where(half > 0, half, 1.0)
     limited = model.actuator_ctrllimited.astype(bool)
-    time = np.arange(float(steps))[:, None] * windows.control_dt
-    shapes: list[tuple[str, Callable[[Array], NDArray[Any]]]] = [
-        ("Hold the commands still", lambda t: 0.0 * t),
-        ("Ramp the commands slowly, up and down once", lambda t: 1 - np.abs(2 * t / (t[-1] + 1e-12) - 1)),
-        ("Step the commands to their recorded extreme", lambda t: np.where(t > 0.2 * t[-1], 1.0, 0.0)),
-        ("Step the commands to twice their recorded extreme", lambda t: np.where(t > 0.2 * t[-1], 2.0, 0.0)),
-        ("Drive with a small sine of 1 Hz, a tenth of the recorded amplitude", lambda t: 0.1 * np.sin(2 * np.pi * t)),
-        ("Drive with a sine of 1 Hz, of the recorded amplitude", lambda t: np.sin(2 * np.pi * t)),
-        ("Drive with a fast sine of 5 Hz, of the recorded amplitude", lambda t: np.sin(10 * np.pi * t)),
-        ("Drive with a sine of 2 Hz, of twice the recorded amplitude", lambda t: 2.0 * np.sin(4 * np.pi * t)),
+    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
+    middle = np.clip(_rounded(middle, half), low, high)
+    end, dt = steps * windows.control_dt, windows.control_dt
+    time = np.arange(float(steps)) * dt
+    still, late = np.zeros(steps), time >= _STEP_AT * end
+    ramp = 1.0 - np.abs(2.0 * time / max(float(time[-1]), 1e-12) - 1.0)
+
+    def upward(size: float) -> tuple[Array, Array]:
+        return middle, np.clip(middle + size * half, low, high)
+
+    def both(size: float) -> tuple[Array, Array]:
+        return np.clip(middle - size * half, low, high), np.clip(middle + size * half, low, high)
+
+    half_way, after = f"in {0.5 * end:.2g} s and back in as long", f"after {_STEP_AT * end:.2g} s"
+    tried = [
+        ("Hold the commands still,", "", still, (middle, middle)),
+        ("Ramp the commands slowly, up and down once,", f", {half_way}", ramp, upward(1.0)),
+        ("Step the commands", f", {after}", late.astype(float), upward(1.0)),
+        ("Step the commands beyond what was recorded,", f", {after}", late.astype(float), upward(2.0)),
     ]
+    sines = [(1.0, 0.1, "Drive with a small sine"), (1.0, 1.0, "Drive with a sine"), (5.0, 1.0, "Drive with a sine")]
+    for rate, size, text in [*sines, (2.0, 2.0, "Drive beyond what was recorded with a sine")]:
+        if rate <= _RESOLVED / dt:
+            wave = 0.5 + 0.5 * np.sin(2 * np.pi * rate * time)
+            tried.append((f"{text} of {rate:.0f} Hz,", "", wave, both(size)))
     rest = windows.state[:1, 0].copy()
     rest[:, model.nq :] = 0.0
-    out = []
-    for text, shape in shapes:
-        command = middle + span * shape(time)
-        command = np.where(limited, np.clip(command, low, high), command)
-        out.append((text, _window(windows, rest, command)))
+    names, out = _command_names(model), list[tuple[str, Windows]]()
+    for text, more, shape, (first, last) in tried:
+        command = first + shape[:, None] * (last - first)
+        said = f"{text} {_ranges(names, first, last)}{more}, starting at rest"
+        out.append((said, _window(windows, rest, command)))
     return out
+
+
+def _command_names(model: mujoco.MjModel) -> list[str]:
+    """Names of the commands (nu,): those of their actuators, with a number where one has several."""
+    names = [f"#{i}" for i in range(model.nu)]
+    for i, name in enumerate(element_names(model, "actuator")):
+        columns = actuator_ctrls(model, np.array([i])).tolist()
+        for k, column in enumerate(columns):
+            names[column] = name if len(columns) == 1 else f"{name}[{k}]"
+    return names
+
+
+def _ranges(names: list[str], first: Array, last: Array) -> str:
+    """Where commands go from and to, in words; in their own units."""
+    said = [_range(float(a), float(b)) for a, b in zip(first, last, strict=True)]
+    if len(set(said)) == 1:
+        return said[0] if len(said) == 1 else f"all {said[0]}"
+    return f"({', '.join(f'{name} {one}' for name, one in zip(names, said, strict=True))})"
+
+
+def _range(first: float, last: float) -> str:
+    """Two numbers to three digits of what lies between them."""
+    width = abs(last - first)
+    if width == 0:
+        return f"at {first:.10g}"
+    return "from {:.10g} to {:.10g}".format(*_rounded(np.array([first, last]), width))
+
+
+def _rounded(values: Array, width: Array | float) -> Array:
+    """Numbers to three digits of their widths, so that people can type them."""
+    unit = 10.0 ** (np.floor(np.log10(width)) - 2)
+    return np.round(values / unit) * unit + 0.0  # without the sign of a zero
 
 
 def _window(windows: Windows, start: Array, command: Array) -> Windows:

@@ -25,7 +25,7 @@ TOLD = 0.1
 class Forces:
     """Generalized forces that bring a replay to the measurements, constant over each window.
 
-    value: the forces (N, nv); error: their standard errors (N, nv)
+    value: the forces (N, nv); error: their standard errors (N, nv), infinite where no force shows
     response: change of the residuals by a unit force (nv, N, nv, C)
     energy: squared whitened residual that each force explains, less what noise alone would give it (N, nv)
     """
@@ -60,11 +60,14 @@ def needed_forces(fit: Fit, seen: Fitter, noise: Scatter, typical: Array, quiet:
     columns = np.stack([noise.whiten(r).reshape(len(residual), -1) for r in response], axis=2)
     information = np.einsum("nca,ncb->nab", columns, columns)
     own = np.einsum("naa->na", information)
-    ridge = 1e-6 * own.max(1, initial=1e-300)
+    # a window that diverges with and without the force tells nothing of it
+    shows = own > 0
+    ridge = 1e-6 * np.where(shows.any(1), own.max(1, initial=0.0), 1.0)
     inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(nv))
     value = -np.einsum("nab,ncb,nc->na", inverse, columns, rows)
     variance = np.einsum("naa->na", inverse) * (1.0 if quiet is None else _loudness(noise.whiten(quiet)))
-    return Forces(value, np.sqrt(variance), response, (value**2 - variance) * own)
+    error = np.where(shows, np.sqrt(variance), np.inf)
+    return Forces(np.where(shows, value, 0.0), error, response, np.where(shows, (value**2 - variance) * own, 0.0))
 
 
 def _loudness(white: Array) -> Array:

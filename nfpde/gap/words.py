@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from nfpde.gap.inertia import NAME, is_told, stays
+from nfpde.gap.levels import NEAR_FLOOR
 from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
 
 WHEN = {
@@ -22,6 +23,9 @@ WHEN = {
 }
 """What regimes are, in a sentence."""
 
+_LARGE = 100.0
+"""Share from which on powers of ten are written."""
+
 _CLOSE = 0.1
 """Share of the gap that an effect which was not proven must take away to be worth a word."""
 
@@ -38,18 +42,20 @@ def summary(
     closest: Cause | None = None,
     computed: str = "",
     encoders: Mapping[str, str] | None = None,
+    lone: tuple[int, str] = (0, ""),
 ) -> list[str]:
     """Sentences that a roboticist can act on; `apart` is the distance of the states `ahead` seconds on.
 
     `closest` is the effect that would shrink the gap most, proven or not; `computed` says which velocities
-    do not count; `encoders` says of joints at rest how they read, as in "0.002 rad too high".
+    do not count; `encoders` says of joints at rest how they read, as in "0.002 rad too high"; `lone` says how many
+    windows alone are far beyond noise, where the mean need not be, and where they are.
     """
-    lines = [_first(verdict, gap)]
+    lines = [_first(verdict, gap, lone)]
     if verdict != "no_gap" and where and where[0].share > 0:
         top = where[0]
         lines.append(f"{top.share:.0%} of the gap lies at {top.joint}, most of all {WHEN.get(top.regime, top.regime)}.")
-    if base and gap.after_parameters < 0.98 * gap.before:
-        lines.append(f"Fitting the parameters alone shrinks the gap by {1 - gap.after_parameters:.1%}.")
+    if base and gap.after_parameters < 0.98 * gap.before and not _is_rounding(gap):
+        lines.append(f"Fitting the parameters alone shrinks the gap by {_share(1 - gap.after_parameters, 1)}.")
     lines += [_cause(c) for c in effects]
     lines += [
         f"{c.effect}{_at(c.target)}: {name} leans on the end of what any robot has ({v.value:.4g} {v.unit}): look for "
@@ -106,21 +112,38 @@ def _at(target: str) -> str:
     return f" at {target}" if target else ""
 
 
-def _first(verdict: Verdict, gap: Level) -> str:
+def _share(value: float, digits: int) -> str:
+    """A share in percent, as a power of ten where it is many times the whole."""
+    return f"{value:.{digits}%}" if abs(value) < _LARGE else f"{100 * value:.1e}%"
+
+
+def _is_rounding(gap: Level) -> bool:
+    """Whether the nominal model leaves no more than rounding may do."""
+    return gap.before < 1
+
+
+def _first(verdict: Verdict, gap: Level, lone: tuple[int, str]) -> str:
+    if verdict == "no_gap" and _is_rounding(gap):
+        return "The model reproduces the recordings to rounding: there is no gap to explain."
     if verdict == "no_gap":
         return "The model predicts the recordings as well as their noise allows: there is no gap to explain."
     left = gap.after_effects
-    floor = f"; sensor noise alone gives {gap.noise_floor:.2%}" if gap.noise_floor > 0 else ""
+    count, places = lone
+    windows = f"1 window is far beyond it: {places}" if count == 1 else f"{count} windows are far beyond it: {places}"
+    if verdict == "unexplained" and count and left <= NEAR_FLOOR * gap.noise_floor:
+        return f"The gap is not explained by any known effect: the mean is within noise, but {windows}."
+    floor = f"; sensor noise alone gives {_share(gap.noise_floor, 2)}" if gap.noise_floor > 0 else ""
     if verdict == "effects":
-        return f"The gap is explained: {left:.2%} of it is left{floor}."
-    return f"The gap is not explained by any known effect: {left:.1%} of it is left{floor}."
+        return f"The gap is explained: {_share(left, 2)} of it is left{floor}."
+    alone = f"; {windows}" if count else ""
+    return f"The gap is not explained by any known effect: {_share(left, 1)} of it is left{floor}{alone}."
 
 
 def _cause(c: Cause) -> str:
     values = ", ".join(
         f"{name} {v.value:.4g} {v.unit} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
     )
-    share = f"it accounts for {c.shrink:.1%} of the gap"
+    share = f"it accounts for {_share(c.shrink, 1)} of the gap"
     if c.shrink <= 0:
         share = "it shows in few windows, none of them among those held out"
     reading = f" (as {c.reading})" if c.reading else ""
