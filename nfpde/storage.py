@@ -1,4 +1,4 @@
-"""Files that are whole or not there at all, and JSON files that say which version wrote them."""
+"""Files that are whole or not there at all, folders of one process at a time, JSON files of a stated version."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import contextlib
 import json
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from nfpde.errors import BadInput
 
@@ -48,6 +50,68 @@ def write_whole(path: Path, data: bytes | str) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+LOCK_FILE = ".lock"
+
+
+@contextmanager
+def alone_in(folder: Path, what: str) -> Iterator[None]:
+    """Within the block no other process, and no other thread, is in such a block for the same folder.
+
+    The system gives the lock back when the process ends, however it ends. Where it has no such locks (some network
+    drives, Windows) nobody is kept out.
+
+    Args:
+        folder: made where it is missing; holds `.lock` within the block.
+        what: what is done in it, with which the message of an error begins: "training".
+
+    Raises:
+        BadInput: somebody else is in such a block.
+        OSError: the folder cannot be made or written into; it is the `filename`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOCK_FILE
+    file = _locked(path)
+    while file is not None and not _is_at(file, path):  # whoever had it before has removed it meanwhile
+        file.close()
+        file = _locked(path)
+    if file is None:
+        raise BadInput(
+            f"{what} in {folder}: another process is at work there; wait for its end, or give another folder"
+        )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink()
+        file.close()
+
+
+def _locked(path: Path) -> BinaryIO | None:
+    """The file, made where it is missing, open and locked; None where somebody else has locked it."""
+    try:
+        file = path.open("ab")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path.parent)) from None
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        return None
+    except (ImportError, OSError):  # no such locks here
+        pass
+    return file
+
+
+def _is_at(file: BinaryIO, path: Path) -> bool:
+    """Whether an open file is the one that now lies at a path."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 class Picture(Protocol):

@@ -11,6 +11,7 @@ from nfpde.bench.estimation import calibration, cell, grid, stages, table, tempe
 from nfpde.bench.estimation.command import split
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, TrajectoryConfig
+from tests.command_line import run
 
 torch.set_num_threads(1)
 
@@ -278,3 +279,23 @@ def test_lists_of_the_command_line():
         split("seeds", "0,1.5")
     with pytest.raises(BadInput, match="robots is empty; give at least one"):
         split("robots", ",")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ("--quick --robots hopper", "--robots is no setting of --quick, which has cells of its own"),
+        ("--quick --targets gaussian", "--targets is no setting of --quick"),
+        ("--quick --seeds 0", "--seeds is no setting of --quick"),
+        ("--quick --calibration --problems 100", "--problems is no setting of --quick"),
+        ("--calibration --noise 0", "--noise is no setting of --calibration, where it would do nothing; leave it out"),
+        ("--calibration --quick --refit", "--refit is no setting of --calibration"),
+        ("--problems 3", "--problems is no setting of the cells, only of --calibration"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(tmp_path, options, text):
+    """Even with their default; nothing is measured or written."""
+    status, out, err = run("bench", "estimation", *options.split(), "--out", tmp_path / "out")
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert text in err
+    assert not (tmp_path / "out").exists()

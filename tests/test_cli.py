@@ -1,11 +1,13 @@
 """The command line: the whole pipeline in a folder, help, errors in one line, Ctrl-C."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from unittest import mock
 
 import matplotlib.image
@@ -109,6 +111,19 @@ def test_evaluate_refuses_the_truth_of_other_recordings(folder, tmp_path):
     assert run("evaluate", fit, "--truth", tmp_path / "unnamed.json", "--samples", 20)[0] == 0
     (fit / "fit.json").unlink()
     assert run("evaluate", fit, "--truth", others, "--samples", 20)[0] == 0
+
+
+@pytest.mark.parametrize("robots", [3, [1], [{"robot": "a"}, None], "abc", {"a": 1}])
+def test_evaluate_refuses_a_damaged_fit(folder, tmp_path, robots):
+    """What is said of robots in another form is one line with the file; nothing is written."""
+    fit, truth = tmp_path / "fit", folder / "data" / "truth.json"
+    shutil.copytree(folder / "fit", fit)
+    (fit / "evaluation.json").unlink()
+    (fit / "fit.json").write_text(json.dumps({"schema_version": 1, "robots": robots}))
+    status, out, err = run("evaluate", fit, "--truth", truth, "--samples", 20)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert f"nfpde: {fit / 'fit.json'}: the entry 'robots' is not what nfpde fit writes" in err
+    assert not (fit / "evaluation.json").exists()
 
 
 @pytest.mark.parametrize("name", ["corner.png", "progress.png", "evaluation.png"])
@@ -249,24 +264,71 @@ def test_a_broken_model(bad):
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        ("fit hopper {data}", "Missing option '--out'"),
+        ("fit hopper {data}", "nfpde: missing option '--out'; nfpde fit --help explains all options"),
         ("fit hopper {data} --out {tmp}/x --method em", "'em' is not one of 'softmax', 'cai'"),
         ("fit hopper {data} --out {tmp}/x --flow glow", "'glow' is not one of 'auto', 'realnvp', 'nsf', 'maf'"),
         ("fit hopper {data} --out {tmp}/x --samples many", "'--samples'"),
-        ("fit hopper {data} --out {tmp}/x --sampels 3", "No such option: --sampels"),
+        ("fit hopper {data} --out {tmp}/x --sampels 3", "no such option: --sampels"),
         ("collect hopper --out {tmp}/x --target ring", "'ring' is not one of 'gaussian', 'mixture'"),
         ("evaluate {fit} --truth {data}/truth.json --seed -1", "'--seed'"),
-        ("fitt hopper", "No such command 'fitt'"),
+        ("bench", "nfpde: missing command; nfpde bench --help explains all options"),
+        ("fitt hopper", "no such command 'fitt'"),
     ],
 )
 def test_bad_options(bad, command, text):
-    """What the command's usage rules out: the option and its choices, exit status 2."""
+    """What the command's usage rules out: one line with the option and its choices, exit status 2."""
     status, out, err = run(*command.format(**bad).split())
     assert status == 2
     assert out == ""
-    assert text in plain(err)
-    assert "Traceback" not in err
+    assert err.startswith("nfpde: ")
+    assert text in err
+    assert (err[-1], err.count("\n")) == ("\n", 1)
     assert not (bad["tmp"] / "x").exists()
+
+
+def test_no_command_at_all():
+    """The help, and exit status 2: nothing was done."""
+    status, out, err = run()
+    assert (status, err) == (2, "")
+    assert "collect" in out
+
+
+@pytest.mark.parametrize("module", ["torch", "typer"])
+@pytest.mark.parametrize("way", ["nfpde", "-m"])
+def test_ctrl_c_while_everything_is_imported(tmp_path, way, module):
+    """One line and exit status 130, however the command is started; the package itself begins with torch."""
+    (tmp_path / f"{module}.py").write_text(
+        "import os, signal, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "os.kill(os.getpid(), signal.SIGINT)\n"
+        "time.sleep(60)\n"
+    )
+    command = [str(Path(sys.executable).parent / "nfpde")] if way == "nfpde" else [sys.executable, "-m", "nfpde"]
+    stopped = subprocess.run(
+        [*command, "fit", "--help"],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    line = "nfpde: interrupted before it began; give the same command again\n"
+    assert (stopped.returncode, stopped.stdout, stopped.stderr) == (130, "", line)
+
+
+def test_ctrl_c_in_another_program_is_its_own(tmp_path):
+    """A program that imports the package is interrupted as always."""
+    (tmp_path / "torch.py").write_text("raise KeyboardInterrupt")
+    program = "try:\n    import nfpde\nexcept KeyboardInterrupt:\n    print('mine')"
+    other = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (other.returncode, other.stdout, other.stderr) == (0, "mine\n", "")
 
 
 def test_the_folder_of_another_fit(folder):

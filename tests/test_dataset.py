@@ -178,6 +178,13 @@ def test_split_by_share_of_episodes(share, expected):
     assert out.names == data.split(share, seed=1)[1].names
 
 
+@pytest.mark.parametrize("share", [np.float32(0.5), np.float64(0.5), np.float16(0.5)])
+def test_split_by_a_numpy_share(share):
+    """Of any precision, as a plain one."""
+    data = Dataset([counted(str(i)) for i in range(4)])
+    assert data.split(share)[1].names == data.split(0.5)[1].names
+
+
 def test_split_seeds_differ():
     """Among many seeds each episode is held out at some time."""
     data = Dataset([counted(str(i)) for i in range(4)])

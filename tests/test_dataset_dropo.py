@@ -1,6 +1,7 @@
 """Folders of .npy transitions with an explicit layout of the observations."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +41,17 @@ def test_layout_by_hand(tmp_path):
     assert_array_equal(data["0"].qvel, [[0.2, 0], [1.2, 1], [2.2, 2]])
     assert_array_equal(data["0"].ctrl, [[7], [8], [8]])
     assert_array_equal(data["1"].qpos, [[0, 5.1], [0, 6.1]])
+
+
+def test_layout_of_numpy_integers(tmp_path):
+    """Columns out of an array, as np.arange makes them, are as good as plain ones."""
+    plain = load_dropo(write(tmp_path), qpos=[1], qvel=[2], control_dt=0.5)
+    given = load_dropo(tmp_path, qpos=np.arange(1, 2), qvel=[np.uint8(2)], control_dt=0.5)
+    assert given.content_hash() == plain.content_hash()
+    refused: tuple[Any, ...] = (np.array([7]), np.array([1.0]), [np.bool_(True)])
+    for wrong in refused:
+        with pytest.raises(BadInput, match="the layout names column"):
+            load_dropo(tmp_path, qpos=[1], qvel=wrong, control_dt=0.5)
 
 
 def test_unchained_transitions(tmp_path):

@@ -171,8 +171,18 @@ CSV = {
     "nan cell": (HEAD + "0,0,1,2,3\n0,1,nan,2,3\n", "episode '0', row 1, column qpos_0: the value is nan"),
     "short row": (
         HEAD + "0,0,1,2,3\n0,1,1\n",
-        "the file cannot be read as a table (CSV parse error: Expected 5 columns, got 3",
+        "row 1 has 3 cells and the header 5 (rows are counted from 0 below the header)",
     ),
+    "long row below an empty line": (
+        HEAD + "0,0,1,2,3\n\n0,1,1,2,3\n0,2,1,2,3,4\n",
+        "row 2 has 6 cells and the header 5 (rows are counted from 0 below the header); every row has one cell a",
+    ),
+    "decimal comma": (HEAD + "0,0,1,2,3\n0,1,1,2,3,5\n", "a decimal comma or a comma in a text reads as two cells"),
+    "marks between digits": (
+        HEAD + "0,0,1,2,3\n0,1,1_000,2,3\n",
+        "row 1, column qpos_0: '1_000' is no number (rows are counted from 0 below the header)",
+    ),
+    "digits of other scripts": (HEAD + "0,0,1,2,٣\n0,1,1,2,3\n", "row 0, column ctrl_0: '٣' is no number"),
     "no header": ("", "the file has no header line; the first line must name the columns"),
     "no rows": (HEAD, "there are no rows; a data set holds at least one episode"),
 }
@@ -293,10 +303,16 @@ def test_single_array_under_npz(tmp_path):
 
 def test_paths(tmp_path):
     """Unknown suffix, absent file, absent folder: each says so and lists the choices."""
+    (tmp_path / "log.bag").write_text("")
     with pytest.raises(BadDataset, match=r"log\.bag: unknown suffix '\.bag'; known are \.npz, \.csv, \.parquet"):
         load_dataset(tmp_path / "log.bag")
     with pytest.raises(BadDataset, match=r"log\.npz: the file does not exist"):
         load_dataset(tmp_path / "log.npz")
+    for name in ("none", "none.bag"):
+        with pytest.raises(
+            BadDataset, match=rf"{name}: the file or folder does not exist; give the path of recordings"
+        ):
+            load_dataset(tmp_path / name)
     data = Dataset([Episode("a", [0, 1], [[1], [2]], [[1], [2]], [[], []])])
     with pytest.raises(BadDataset, match=r"unknown suffix '\.pkl'; known are \.npz, \.csv, \.parquet"):
         save_dataset(data, tmp_path / "log.pkl")

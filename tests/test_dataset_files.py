@@ -1,6 +1,8 @@
 """Files: round trips bit by bit through every format, and files written by other means."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_array_equal
 
 from nfpde.dataset import ColumnNames, Dataset, Episode, Metadata, load_dataset, save_dataset
+from tests.full_disk import files_of_at_most
 
 SUFFIXES = [".npz", ".csv", ".parquet"]
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -54,7 +57,7 @@ def test_round_trip_is_bit_exact(suffix, data, tmp_path_factory):
     assert back.column_names == data.column_names
     assert [e.robot for e in back] == [e.robot for e in data]
     assert back.source == str(path)
-    assert not [p for p in path.parent.iterdir() if p.suffix == ".part"]
+    assert {p.name for p in path.parent.iterdir()} <= {path.name, "data.meta.json"}
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -195,3 +198,75 @@ def test_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
         save_dataset(data, tmp_path / "d.npz")
     assert [p.name for p in tmp_path.iterdir()] == ["d.npz"]
     assert (tmp_path / "d.npz").read_bytes() == before
+
+
+def long_recording(value, rows):
+    numbers = np.full((rows, 4), float(value))
+    return Dataset([Episode("0", 0.01 * np.arange(rows), numbers, numbers, numbers)])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk_leaves_the_old_file_and_is_named(suffix, tmp_path):
+    """The system's reason and the file asked for; what was there loads as before, and nothing else is left."""
+    path, old = tmp_path / f"d{suffix}", long_recording(1, 50)
+    save_dataset(old, path)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    with files_of_at_most(1000), pytest.raises(OSError, match="File too large") as raised:
+        save_dataset(long_recording(2, 5000), path)
+    assert raised.value.filename == str(path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_target_that_cannot_be_written_is_named(suffix, tmp_path):
+    """The file asked for, not one beside it."""
+    (tmp_path / f"d{suffix}").mkdir()
+    with pytest.raises(OSError, match="directory") as raised:
+        save_dataset(long_recording(1, 5), tmp_path / f"d{suffix}")
+    assert raised.value.filename == str(tmp_path / f"d{suffix}")
+
+
+def test_metadata_of_a_csv_come_first(tmp_path):
+    """Where they cannot be written the rows are not either: without them they would load as if they had none."""
+    (tmp_path / "d.meta.json").mkdir()
+    with pytest.raises(OSError, match="directory"):
+        save_dataset(long_recording(1, 5), tmp_path / "d.csv")
+    assert not (tmp_path / "d.csv").exists()
+
+
+WRITER = """
+import sys
+import numpy as np
+from nfpde.dataset import Dataset, Episode, load_dataset, save_dataset
+
+path, value = sys.argv[1], int(sys.argv[2])
+mine = Dataset([Episode("0", 0.01 * np.arange(2000), *np.full((3, 2000, 4), float(value)))])
+print("ready", flush=True)
+sys.stdin.readline()
+for _ in range(40):
+    save_dataset(mine, path)
+    found = load_dataset(path)[0].qpos
+    assert (found == found[0, 0]).all()
+"""
+
+
+def test_two_processes_save_at_one_path(tmp_path):
+    """Each load finds all of one data set: the other process's, or one's own."""
+    path = tmp_path / "d.npz"
+    writers = [
+        subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path), str(i)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for i in range(2)
+    ]  # fmt: skip
+    for writer in writers:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "ready\n"
+    for writer in writers:
+        assert writer.stdin is not None
+        writer.stdin.write("\n")
+        writer.stdin.flush()
+    for writer in writers:
+        assert (writer.communicate(timeout=120)[1], writer.returncode) == ("", 0)
+    assert list(tmp_path.iterdir()) == [path]

@@ -86,6 +86,7 @@ def test_episode_refusals(changes, text):
         (lambda d: next(d.transitions().batches(0)), BadInput, "size is 0; it must be a whole number, at least 1"),
         (lambda d: d.transitions()[99], IndexError, "window 99 of 8"),
         (lambda d: d.split(1.0), BadInput, "held_out is 1.0; a share must lie between 0 and 1, both excluded"),
+        (lambda d: d.split(None), BadInput, "held_out is None; give a share between 0 and 1, or a list of names"),
         (lambda d: d.split("a"), BadInput, "held_out is the text 'a'; give a share or a list of names: ['a']"),
         (lambda d: d.split(["z"]), BadInput, "no episode or robot is named 'z'; there are a, b"),
         (lambda d: d.split(["a", "b"]), BadDataset, "leaves 0 of 2 episodes in and 2 held out; both sides need"),

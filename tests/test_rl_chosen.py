@@ -77,3 +77,18 @@ def test_a_training_says_how_many_robots_it_was_evaluated_on(tmp_path):
     every = evaluate_policy(result.policy, "pendulum", truth.xi, space=SPACE, episodes=2)
     assert result.after.target is not None
     assert tuple(every.returns) == result.after.target.returns
+
+
+def test_a_robot_of_several_recordings_counts_once(tmp_path):
+    """Of three robots with ten recordings the evaluations meet all three, in turn, and say no word of a choice."""
+    xi = np.array([1.2, 0.5, 1.2, 0.5, 0.9, 1.2, 1.2, 1.2, 1.2, 1.2])[:, None]
+    result = train_sac(
+        "pendulum", SORTED, space=SPACE, steps=150, out=tmp_path, target=Truth(SPACE, xi, [f"{i}" for i in range(10)]),
+        evaluation_every=150, evaluation_episodes=4, hyperparameters=SMALL, device="cpu", quiet=True,
+    )  # fmt: skip
+    assert result.settings["target"]["xi"] == [[1.2], [0.5], [0.9]]
+    assert result.robots == (3, 3)
+    assert "robots)" not in result.summary()
+    every = evaluate_policy(result.policy, "pendulum", [[1.2], [0.5], [0.9]], space=SPACE, episodes=4)
+    assert result.after.target is not None
+    assert tuple(every.returns) == result.after.target.returns

@@ -85,6 +85,8 @@ def test_pendulum_can_be_solved():
     [
         (("flying_carpet",), "'flying_carpet': .*Known short names: pendulum, payload, hopper"),
         (("no_such_module:Robot-v0",), "no_such_module.*module:Id-v0"),
+        (("a:b:c",), "'a:b:c': give a Gymnasium id, or MODULE:Id-v0 with one colon"),
+        ((":Hopper-v5",), "':Hopper-v5': give a Gymnasium id, or MODULE:Id-v0 with one colon"),
         (("pendulum", "missing.xml"), "missing.xml: no such file"),
         (("CartPole-v1", PENDULUM_XML), "'CartPole-v1' cannot be made with .*xml_file"),
         ((lambda: gymnasium.make("Hopper-v5"), PENDULUM_XML), "goes with the name of an environment"),

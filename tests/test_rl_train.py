@@ -298,6 +298,7 @@ def test_divergence_is_recorded_and_stops_training(tmp_path, monkeypatch):
         ({"steps": 0}, BadInput, "steps is 0"),
         ({"steps": 10}, BadInput, "steps is 10; it must be a multiple of train_every, 4"),
         ({"seed": -1}, BadInput, "seed is -1"),
+        ({"seed": 10**22}, BadInput, r"seed is 10000000000000000000000; it must be an integer from 0 to 922337"),
         ({"threads": 0}, BadInput, "threads is 0"),
         ({"evaluation_every": 100}, BadInput, "at least an episode of nfpde/Pendulum-v0, 150 control steps"),
         ({"evaluation_episodes": 1}, BadInput, "evaluation_episodes is 1"),

@@ -4,11 +4,15 @@ import errno
 import json
 import math
 import os
+import signal
+import subprocess
+import sys
+import threading
 
 import pytest
 
 from nfpde.errors import BadInput
-from nfpde.storage import finite, read_json, write_whole
+from nfpde.storage import alone_in, finite, read_json, write_whole
 
 
 def test_content_comes_back_and_nothing_else_is_left(tmp_path):
@@ -103,3 +107,66 @@ def test_what_json_cannot_hold_becomes_null():
     """Infinity and NaN at any depth become None; everything else stays as it is."""
     value = {"a": [1.5, math.inf, (math.nan, "x")], "b": {"c": -math.inf, "d": None, "e": True}}
     assert finite(value) == {"a": [1.5, None, [None, "x"]], "b": {"c": None, "d": None, "e": True}}
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from nfpde.storage import alone_in
+
+with alone_in(Path(sys.argv[1]), "a job"):
+    print("inside", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_folder_is_of_one_process_at_a_time(tmp_path, end):
+    """The second is told so, with the folder; once the first has ended, in whatever way, the folder is free."""
+    folder = tmp_path / "inner" / "out"
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(folder)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "inside\n"
+    text = r"^training in .*/inner/out: another process is at work there; wait for its end"
+    with pytest.raises(BadInput, match=text), alone_in(folder, "training"):
+        pytest.fail("two are inside")
+    holder.send_signal(end)
+    holder.communicate(timeout=60)
+    with alone_in(folder, "training"):
+        assert [p.name for p in folder.iterdir()] == [".lock"]
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_is_of_one_thread_at_a_time(tmp_path):
+    """Many that try again and again: never are two inside, and each has its turn, though the file comes and goes."""
+    inside, turns, twice = [], [], []
+
+    def work(name):
+        while turns.count(name) < 30:
+            try:
+                with alone_in(tmp_path, "work"):
+                    inside.append(name)
+                    twice.extend(inside[1:])
+                    turns.append(name)
+                    inside.remove(name)
+            except BadInput:
+                continue
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert len(turns) == 120
+    assert not twice
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    """A file in its place: the system's reason, and the path."""
+    (tmp_path / "out").write_text("")
+    with pytest.raises(FileExistsError) as raised, alone_in(tmp_path / "out", "work"):
+        pytest.fail("inside a file")
+    assert raised.value.filename == str(tmp_path / "out")

@@ -25,10 +25,11 @@ class Peers:
 
     Raises:
         OSError: The interpreter cannot be started.
-        RuntimeError: It ended without an answer; its own message is on the standard error.
+        BadInput: It is no Python with what the solvers need; its own message is on the standard error.
     """
 
     def __init__(self, python: Path) -> None:
+        self._python = python
         self._process = subprocess.Popen(
             [str(python), str(Path(__file__).resolve())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -50,12 +51,20 @@ class Peers:
     def _ask(self, request: dict[str, str]) -> Any:
         if self._process.stdin is None or self._process.stdout is None:
             raise RuntimeError("the peers' process has no pipes")
-        self._process.stdin.write(json.dumps(request) + "\n")
-        self._process.stdin.flush()
-        answer = self._process.stdout.readline()
-        if not answer:
-            raise RuntimeError(f"the Python of the peers ended without an answer to {request}")
-        return json.loads(answer)
+        try:
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+            answer = json.loads(self._process.stdout.readline())["answer"]
+        except (BrokenPipeError, ValueError, TypeError, KeyError):
+            from nfpde.errors import BadInput  # not at the top: the other end may lack this package
+
+            self._process.kill()
+            self._process.wait()
+            raise BadInput(
+                f"{self._python} gave no answer to {json.dumps(request)}; give the Python of an environment with "
+                f"NumPy, SciPy and any of {', '.join(PACKAGES)}"
+            ) from None
+        return answer
 
 
 def _solver(package: str) -> Callable[..., float]:
@@ -102,7 +111,7 @@ def main() -> None:
     """Answers requests until the input ends."""
     data: dict[str, Any] = {}
     for line in sys.stdin:
-        print(json.dumps(_answer(json.loads(line), data)), flush=True)
+        print(json.dumps({"answer": _answer(json.loads(line), data)}), flush=True)
 
 
 if __name__ == "__main__":

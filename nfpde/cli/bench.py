@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from nfpde.cli.models import DEVICE_HELP
+from nfpde.cli.settings import refuse_idle
 from nfpde.cli.stopping import stoppable
 from nfpde.sim import Device, found_device
 
@@ -82,6 +83,7 @@ def fit(
 @app.command("estimation")
 @stoppable
 def estimation(
+    context: typer.Context,
     robots: Annotated[str | None, typer.Option(help="with commas; all four, for the calibration three")] = None,
     targets: Annotated[str, typer.Option(help="populations, with commas")] = "gaussian,mixture",
     noise: Annotated[str, typer.Option(help="of the sensors, shares of each channel's deviation")] = "0,0.001,0.01",
@@ -97,6 +99,12 @@ def estimation(
     """Whole trajectories beside softmax, cell by cell; goes on where it stopped."""
     from nfpde.bench import estimation as bench
 
+    if quick:
+        refuse_idle(context, ("robots", "targets", "noise", "seeds", "problems"), "--quick, which has cells of its own")
+    if calibration:
+        refuse_idle(context, ("targets", "noise", "seeds", "refit"), "--calibration")
+    else:
+        refuse_idle(context, ("problems",), "the cells, only of --calibration")
     bench.command(
         {"robots": robots, "targets": targets, "noises": noise, "seeds": seeds},
         out,

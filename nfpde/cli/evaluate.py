@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput, NfpdeError
-from nfpde.estimation.accuracy import accuracy
+from nfpde.estimation.accuracy import Accuracy, accuracy
 from nfpde.estimation.result import SCHEMA_VERSION
 from nfpde.evaluate import evaluate
 from nfpde.parameters import ParameterSpace
@@ -38,7 +38,7 @@ def command(
     fit = read_json(folder / "fit.json", SCHEMA_VERSION) if (folder / "fit.json").exists() else {}
     _check_recordings(fit.get("dataset"), folder / "fit.json", truth, known.dataset)
     result = evaluate(estimate, recorded, initial=initial, samples=samples, seed=seed)
-    robots = accuracy(fit.get("robots", []), known)
+    robots = _accuracy(fit, folder / "fit.json", known)
     figures = result.to_json() | ({} if robots is None else {"robots": robots.to_json()})
     write_whole(folder / "evaluation.json", json.dumps(figures, indent=1))
     picture = result.draw(folder / "evaluation.png")
@@ -53,6 +53,16 @@ def command(
     )
     typer.echo(f"{folder / 'evaluation.json'}: all figures")
     typer.echo(f"{picture}: the distribution, the robots' true parameters (points) and their population (outlines)")
+
+
+def _accuracy(fit: dict[str, Any], path: Path, known: Truth) -> Accuracy | None:
+    try:
+        return accuracy(fit.get("robots", []), known)
+    except (TypeError, ValueError, LookupError, AttributeError):
+        raise BadInput(
+            f"{path}: the entry 'robots' is not what nfpde fit writes (a list with robot, episodes and parameters of "
+            "each); fit again, or move the file away to measure the distribution alone"
+        ) from None
 
 
 def _over(known: Truth, space: ParameterSpace, path: Path) -> Truth:

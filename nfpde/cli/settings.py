@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from typing import Annotated, Any, get_type_hints
 
@@ -54,12 +54,26 @@ def build(config: type, values: dict[str, Any], context: typer.Context, what: st
         BadInput: an option was given that only other settings classes have, or a value breaks a rule.
     """
     own = {f.name for f in fields(config)}
-    for name in values:
+    refuse_idle(context, (name for name in values if name not in own), what)
+    return config(**{name: values[name] for name in own})
+
+
+def refuse_idle(context: typer.Context, names: Iterable[str], what: str) -> None:
+    """Refuse options that were given and would do nothing.
+
+    Args:
+        context: of the command; tells which options were given.
+        names: of the options, as parameters of the command.
+        what: what does not heed them, for the error.
+
+    Raises:
+        BadInput: one of them was given.
+    """
+    for name in names:
         source = context.get_parameter_source(name)
-        if name not in own and source is not None and source.name == "COMMANDLINE":
+        if source is not None and source.name == "COMMANDLINE":
             option = "--" + name.replace("_", "-")
             raise BadInput(f"{option} is no setting of {what}, where it would do nothing; leave it out")
-    return config(**{name: values[name] for name in own})
 
 
 def _owners(configs: tuple[type, ...]) -> dict[str, list[type]]:

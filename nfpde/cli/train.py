@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from nfpde.cli.fitted import check_model, find_distribution
 from nfpde.distribution import ParameterDistribution
 from nfpde.truth import Truth
 
@@ -21,6 +22,12 @@ def command(
     distribution: Annotated[Path, typer.Option(help="what nfpde fit wrote, or a saved distribution")],
     out: Annotated[Path, typer.Option(help="folder for the policy; an interrupted training goes on from it")],
     steps: Annotated[int, typer.Option(help="control steps in all")] = 20_000,
+    model: Annotated[
+        Path | None, typer.Option(help="MJCF file to use in the environment, in place of its own: the one fitted")
+    ] = None,
+    another_model: Annotated[
+        bool, typer.Option("--another-model", help="the environment's model may differ from the one fitted")
+    ] = False,
     truth: Annotated[Path | None, typer.Option(help="truth.json: evaluate on these robots, the target")] = None,
     evaluation_every: Annotated[int, typer.Option(help="control steps between evaluations and checkpoints")] = 5000,
     evaluation_episodes: Annotated[
@@ -43,8 +50,10 @@ def command(
     """
     from nfpde.rl import train_sac  # stable-baselines3 takes seconds to import
 
-    inner = distribution / "distribution"
-    fitted = ParameterDistribution.load(inner if inner.is_dir() else distribution)
+    folder, fit = find_distribution(distribution)
+    fitted = ParameterDistribution.load(folder)
+    if fit is not None and not another_model:
+        check_model(fit, env, model, fitted.space)
     result = train_sac(
         env,
         fitted,
@@ -55,6 +64,7 @@ def command(
         evaluation_every=evaluation_every,
         evaluation_episodes=evaluation_episodes,
         nominal_baseline=nominal_baseline,
+        model=model,
         device=device,
         past_commands=past_commands,
         quiet=quiet,

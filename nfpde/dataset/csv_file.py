@@ -1,6 +1,7 @@
 """Data sets as .csv, with the metadata in a file NAME.meta.json beside it."""
 
 import csv
+from io import BytesIO, StringIO
 from pathlib import Path
 
 import pyarrow as pa
@@ -34,23 +35,26 @@ def read_csv(path: Path, *, velocities: bool = True) -> Recording:
         types = {label: pa.float64() for label in layout.numbers} | {label: pa.string() for label in layout.texts}
         table = _read(path, header, types)
     except pa.ArrowInvalid as error:
+        _refuse_lengths(path, len(header))
         _refuse_cells(path, header, layout)
         raise BadDataset(f"the file cannot be read as a table ({str(error).splitlines()[0]}).") from None
     return recording_of_table(table, layout, _sidecar_metadata(metadata_path(path)))
 
 
-def write_csv(dataset: Dataset, path: Path) -> None:
-    """Write a data set as .csv; each number as the shortest text that reads back as the same float64.
+def csv_bytes(dataset: Dataset) -> bytes:
+    """A data set as .csv; each number as the shortest text that reads back as the same float64.
 
     Args:
         dataset: The data set.
-        path: File to write; the metadata is not written here (see `write_metadata`).
+
+    Returns:
+        The file's content, without the metadata (see `write_metadata`).
     """
     table = table_of_dataset(dataset)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(table.column_names)
-    with path.open("ab") as file:
-        pacsv.write_csv(table, file, pacsv.WriteOptions(include_header=False))
+    header, rows = StringIO(), BytesIO()
+    csv.writer(header, lineterminator="\n").writerow(table.column_names)
+    pacsv.write_csv(table, rows, pacsv.WriteOptions(include_header=False))
+    return header.getvalue().encode() + rows.getvalue()
 
 
 def metadata_path(path: Path) -> Path:
@@ -79,6 +83,22 @@ def _read(path: Path, header: list[str], types: dict[str, pa.DataType]) -> pa.Ta
     )
 
 
+def _refuse_lengths(path: Path, n: int) -> None:
+    """Find the first row that has another number of cells than the header, and say where it is."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = (row for row in csv.reader(file) if row)  # empty lines are no rows
+        next(rows, None)
+        try:
+            found = next(((i, len(row)) for i, row in enumerate(rows) if len(row) != n), None)
+        except (UnicodeDecodeError, csv.Error):
+            return
+    if found is not None:
+        raise BadDataset(
+            f"row {found[0]} has {found[1]} cells and the header {n} (rows are counted from 0 below the header); every "
+            "row has one cell a column. Complete or remove it; a decimal comma or a comma in a text reads as two cells."
+        )
+
+
 def _refuse_cells(path: Path, header: list[str], layout: TableLayout) -> None:
     """Find the first cell that is no number, and say where it is."""
     try:
@@ -87,13 +107,20 @@ def _refuse_cells(path: Path, header: list[str], layout: TableLayout) -> None:
         return
     for label in layout.numbers:
         for row, text in enumerate(table.column(label).to_pylist()):
-            try:
-                float(text or "nan")
-            except ValueError:
+            if not _is_number(text or "nan"):
                 raise BadDataset(
                     f"row {row}, column {label}: {text!r} is no number (rows are counted from 0 below the header). "
-                    "Write numbers with a decimal point, without units."
-                ) from None
+                    "Write numbers with a decimal point, without units and without marks between the digits."
+                )
+
+
+def _is_number(text: str) -> bool:
+    """Whether Arrow reads a cell as a number: Python's float also takes 1_000 and the digits of other scripts."""
+    try:
+        pa.scalar(text.strip()).cast(pa.float64())
+    except pa.ArrowInvalid:
+        return False
+    return True
 
 
 def _sidecar_metadata(path: Path) -> Metadata:

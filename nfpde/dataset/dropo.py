@@ -15,14 +15,17 @@ from nfpde.dataset.naming import naming
 from nfpde.dataset.resample import check_seconds
 from nfpde.errors import BadDataset, BadInput
 
+Columns = Sequence[int | np.integer[Any] | None] | NDArray[np.integer[Any]]
+"""Columns of observations, by number; None for one that is not observed."""
+
 _FILES = {"observations": 2, "nextobservations": 2, "actions": 2, "terminals": 1}
 
 
 def load_dropo(
     folder: str | Path,
     *,
-    qpos: Sequence[int | None],
-    qvel: Sequence[int | None],
+    qpos: Columns,
+    qvel: Columns,
     control_dt: float,
     chained: bool = True,
     velocity_limit: float | None = 10.0,
@@ -118,11 +121,13 @@ def _load(file: Path) -> NDArray[Any]:
         ) from None
 
 
-def _columns(qpos: Sequence[int | None], qvel: Sequence[int | None], n: int) -> list[int | None]:
+def _columns(qpos: Columns, qvel: Columns, n: int) -> list[int | None]:
     columns = [*qpos, *qvel]
     given = [column for column in columns if column is not None]
     wrong = [
-        column for column in given if isinstance(column, bool) or not isinstance(column, int) or not 0 <= column < n
+        column
+        for column in given
+        if isinstance(column, bool) or not isinstance(column, int | np.integer) or not 0 <= column < n
     ]
     if wrong:
         raise BadInput(
@@ -131,7 +136,7 @@ def _columns(qpos: Sequence[int | None], qvel: Sequence[int | None], n: int) -> 
     twice = sorted({column for column in given if given.count(column) > 1})
     if twice:
         raise BadInput(f"the layout takes column {twice[0]} twice; each column is one position or one velocity.")
-    return columns
+    return [None if column is None else int(column) for column in columns]
 
 
 def _states(observations: NDArray[np.float64], columns: list[int | None]) -> NDArray[np.float64]:
@@ -160,9 +165,7 @@ def _check_chain(before: NDArray[np.float64], after: NDArray[np.float64], ends: 
         )
 
 
-def _check_limit(
-    before: NDArray[np.float64], after: NDArray[np.float64], qvel: Sequence[int | None], limit: float
-) -> None:
+def _check_limit(before: NDArray[np.float64], after: NDArray[np.float64], qvel: Columns, limit: float) -> None:
     clipped = (np.abs(before) == limit) | (np.abs(after) == limit)
     if clipped.any():
         row, column = np.argwhere(clipped)[0]

@@ -1,26 +1,26 @@
 """Load and save data sets, in the format that the file's suffix names."""
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from nfpde.dataset.columns import ColumnNames
-from nfpde.dataset.csv_file import metadata_path, read_csv, write_csv, write_metadata
+from nfpde.dataset.csv_file import csv_bytes, metadata_path, read_csv, write_metadata
 from nfpde.dataset.dataset import Dataset
 from nfpde.dataset.episode import Episode
 from nfpde.dataset.folder import read_folder
 from nfpde.dataset.naming import naming
-from nfpde.dataset.npz import read_npz, write_npz
-from nfpde.dataset.parquet_file import read_parquet, write_parquet
+from nfpde.dataset.npz import npz_bytes, read_npz
+from nfpde.dataset.parquet_file import parquet_bytes, read_parquet
 from nfpde.dataset.recording import Recording
 from nfpde.dataset.resample import bridged_step, check_seconds, resample_episode, split_episode_at_gaps, whole_steps
 from nfpde.dataset.velocities import COMPUTED, differentiate_episode, names_with_velocities
 from nfpde.errors import BadDataset, BadInput
+from nfpde.storage import write_whole
 
 _READERS: dict[str, Callable[..., Recording]] = {".npz": read_npz, ".csv": read_csv, ".parquet": read_parquet}
-_WRITERS: dict[str, Callable[[Dataset, Path], None]] = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
+_CONTENTS: dict[str, Callable[[Dataset], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".parquet": parquet_bytes}
 
 
 def load_dataset(
@@ -109,7 +109,8 @@ def read_column_names(path: str | Path, *, velocities: bool = True) -> ColumnNam
 def save_dataset(dataset: Dataset, path: str | Path) -> None:
     """Save a data set; loading it again gives the same numbers bit by bit, and the same metadata.
 
-    The file appears whole or not at all. A `.csv` is joined by NAME.meta.json, which holds the metadata.
+    The file appears whole or not at all, whatever stops the process and whoever else writes it. A `.csv` is joined by
+    NAME.meta.json, which holds the metadata and is written first.
 
     Args:
         dataset: The data set.
@@ -117,30 +118,28 @@ def save_dataset(dataset: Dataset, path: str | Path) -> None:
 
     Raises:
         BadDataset: The suffix is unknown, the folder does not exist, or a table would have no velocities.
+        OSError: The file cannot be written (a full disk, a folder that is read-only); `filename` is its name.
     """
     path = Path(path)
     with naming(path):
-        write = _WRITERS[_known_suffix(path)]
+        content_of = _CONTENTS[_known_suffix(path)]
         if not path.parent.is_dir():
             raise BadDataset("the folder to save in does not exist; create it first.")
         if dataset.nv == 0 and path.suffix.lower() != ".npz":
             raise BadDataset("a table needs velocity columns, and these recordings have none; save them as .npz.")
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        write(dataset, temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    content = content_of(dataset)
     if path.suffix.lower() == ".csv":
-        write_metadata(dataset, metadata_path(path))
+        write_metadata(dataset, metadata_path(path))  # rows without their metadata would load as if they had none
+    write_whole(path, content)
 
 
 def _read(path: Path, *, velocities: bool) -> Recording:
     if path.is_dir():
         return read_folder(path, {suffix: partial(read, velocities=velocities) for suffix, read in _READERS.items()})
-    read = _READERS[_known_suffix(path)]
     if not path.exists():
-        raise BadDataset("the file does not exist.")
+        what = "file" if path.suffix.lower() in _READERS else "file or folder"
+        raise BadDataset(f"the {what} does not exist; give the path of recordings: {', '.join(_READERS)}, or a folder.")
+    read = _READERS[_known_suffix(path)]
     return read(path, velocities=velocities)
 
 

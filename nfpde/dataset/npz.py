@@ -2,6 +2,7 @@
 
 import zipfile
 import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -70,20 +71,23 @@ def read_npz(path: Path, *, velocities: bool = True) -> Recording:
     )
 
 
-def write_npz(dataset: Dataset, path: Path) -> None:
-    """Write a data set as .npz (see `read_npz`), numbers unchanged bit by bit.
+def npz_bytes(dataset: Dataset) -> bytes:
+    """A data set as .npz (see `read_npz`), numbers unchanged bit by bit.
 
     Args:
         dataset: The data set.
-        path: File to write.
+
+    Returns:
+        The file's content.
     """
     arrays: dict[str, Any] = rows_of_episodes(dataset.episodes)
     for group in GROUPS:
         if getattr(dataset.column_names, group) is not None:
             arrays[f"{group}_names"] = np.array(getattr(dataset.column_names, group), dtype=str)
     arrays["metadata"] = np.array(dataset.metadata.to_json())
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+    file = BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    return file.getvalue()
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

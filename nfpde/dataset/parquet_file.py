@@ -1,5 +1,6 @@
 """Data sets as .parquet, with the metadata in the schema."""
 
+from io import BytesIO
 from pathlib import Path
 
 import pyarrow as pa
@@ -38,12 +39,16 @@ def read_parquet(path: Path, *, velocities: bool = True) -> Recording:
         raise BadDataset(f"the file cannot be read as Parquet ({str(error).splitlines()[0]}).") from None
 
 
-def write_parquet(dataset: Dataset, path: Path) -> None:
-    """Write a data set as .parquet (see `read_parquet`), numbers unchanged bit by bit.
+def parquet_bytes(dataset: Dataset) -> bytes:
+    """A data set as .parquet (see `read_parquet`), numbers unchanged bit by bit.
 
     Args:
         dataset: The data set.
-        path: File to write.
+
+    Returns:
+        The file's content.
     """
     table = table_of_dataset(dataset).replace_schema_metadata({_KEY: dataset.metadata.to_json().encode()})
-    pq.write_table(table, path, write_page_checksum=True)
+    file = BytesIO()
+    pq.write_table(table, file, write_page_checksum=True)
+    return file.getvalue()

@@ -1,6 +1,6 @@
 """Which episodes are held out: whole robots where several are labelled, else whole episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -26,8 +26,12 @@ def held_out_episodes(episodes: Sequence[Episode], held_out: float | Sequence[st
     """
     if isinstance(held_out, str):
         raise BadInput(f"held_out is the text {held_out!r}; give a share or a list of names: [{held_out!r}].")
-    share = isinstance(held_out, int | float)
-    chosen = _draw(episodes, held_out, seed) if share else _named(episodes, held_out)
+    if isinstance(held_out, int | float | np.number):
+        chosen = _draw(episodes, float(held_out), seed)
+    elif isinstance(held_out, Iterable):
+        chosen = _named(episodes, held_out)
+    else:
+        raise BadInput(f"held_out is {held_out!r}; give a share between 0 and 1, or a list of names.")
     if len(chosen) in (0, len(episodes)):
         raise BadDataset(
             f"the split leaves {len(episodes) - len(chosen)} of {len(episodes)} episodes in and {len(chosen)} "
@@ -52,7 +56,7 @@ def _draw(episodes: Sequence[Episode], share: float, seed: int) -> set[int]:
     return {i for group in picked for i in members[group]}
 
 
-def _named(episodes: Sequence[Episode], names: Sequence[str]) -> set[int]:
+def _named(episodes: Sequence[Episode], names: Iterable[str]) -> set[int]:
     chosen: set[int] = set()
     for name in names:
         as_episode = {i for i, e in enumerate(episodes) if e.name == name}

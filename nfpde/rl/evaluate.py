@@ -13,7 +13,7 @@ from nfpde.errors import BadInput, SimulationDiverged
 from nfpde.parameters import ParameterSpace
 from nfpde.rl.actor import Actor, BadAction, NotFinite, Predicts
 from nfpde.rl.behaviour import Repetition
-from nfpde.rl.numbers import whole_number
+from nfpde.rl.numbers import seed_number, whole_number
 from nfpde.rl.past import Controller, past_commands_of
 from nfpde.rl.policy import Policy
 from nfpde.rl.randomize import Draws, RandomizedParameters, check_source
@@ -82,17 +82,17 @@ def evaluate_policy(
             array, one of each; None for the nominal model.
         space: what fixed vectors mean; in an environment under `RandomizedParameters` they are of its space.
         episodes: how many, at least 2.
-        seed: of draws and start states.
+        seed: of draws and start states, from 0 to 2**63 - 1.
 
     Raises:
-        BadInput: fewer than 2 episodes, a negative seed, an environment or source that cannot be used, episodes
-            without an end, or an environment that carries something over between episodes; a policy for other
-            observations or actions, or one whose actions are not finite.
+        BadInput: fewer than 2 episodes, a seed outside of its range, an environment or source that cannot be used,
+            episodes without an end, or an environment that carries something over between episodes; a policy for
+            other observations or actions, or one whose actions are not finite.
         SpaceMismatch: a space, or a distribution over one, that is not the wrapped environment's.
         SimulationDiverged: an episode blew up, so that it has no return; names its parameters.
     """
     episodes = whole_number("episodes", episodes, 2, " (for a standard error)")
-    seed = whole_number("seed", seed, 0)
+    seed = seed_number(seed)
     made = None
     if isinstance(env, RandomizedParameters):
         if space is not None:

@@ -9,6 +9,17 @@ import numpy as np
 from nfpde.errors import BadInput
 
 
+def seed_number(seed: Any) -> int:
+    """A seed as Python's own number, in the range that every generator in use takes.
+
+    Raises:
+        BadInput: no whole number, a truth value, or one outside of the range.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise BadInput(f"seed is {seed!r}; it must be an integer from 0 to {2**63 - 1}")
+    return int(seed)
+
+
 def whole_number(name: str, value: Any, least: int, why: str = "") -> int:
     """A whole number as Python's own, which JSON can hold.
 

@@ -42,6 +42,8 @@ def make_environment(name: Environment, model: str | Path | None = None) -> gymn
         return name()
     if model is not None and not Path(model).is_file():
         raise BadInput(f"{model}: no such file; give the path of an MJCF file")
+    if name.count(":") > 1 or name.startswith(":"):
+        raise BadInput(f"environment {name!r}: give a Gymnasium id, or MODULE:Id-v0 with one colon")
     arguments: dict[str, Any] = {} if model is None else {"xml_file": str(Path(model).resolve())}
     try:
         with quiet_mujoco():

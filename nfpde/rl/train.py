@@ -6,14 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.rl.history import TrainResult, write_json
 from nfpde.rl.learner import SacConfig
-from nfpde.rl.numbers import whole_number
+from nfpde.rl.numbers import seed_number, whole_number
 from nfpde.rl.plot import plot_returns
 from nfpde.rl.randomize import Draws, check_source
 from nfpde.rl.tasks import TASKS, Environment
@@ -61,8 +62,8 @@ def train_sac(
     could not be compared, and no training could go on exactly.
 
     `out` then holds `policy.safetensors` and `policy.json` (read by `load_policy`), `train.json` (settings and all
-    returns), `returns.png`, the state to go on from (`state.safetensors`, `state.json`, `replay/`), and with
-    `nominal_baseline` the same in `nominal/`.
+    returns), `returns.png` and the state to go on from (`state.safetensors`, `state.json`, `replay/`). With
+    `nominal_baseline` the same but for the picture is in `nominal/`; `train.json` and `returns.png` of `out` show both.
 
     Args:
         env: short name, Gymnasium id or maker of a MuJoCo environment, see `make_environment`.
@@ -70,11 +71,11 @@ def train_sac(
             or one vector (D,) with `space`; or None for the nominal model, no randomization.
         steps: control steps in all, a multiple of the hyperparameters' `train_every`.
         out: folder for the results.
-        seed: of everything random.
-        target: parameters of the real robots: a `Truth`, or vectors (n, D) of the distribution's space; episodes
-            take them in turn. Of more robots than `evaluation_episodes` as many are evaluated, the same every time,
-            one from each of equal stretches of the list; the result says how many. None evaluates on the distribution
-            only.
+        seed: of everything random, from 0 to 2**63 - 1.
+        target: parameters of the real robots: a `Truth`, whose recorded episodes of one robot count once, or vectors
+            (n, D) of the distribution's space; episodes take them in turn. Of more robots than `evaluation_episodes`
+            as many are evaluated, the same every time, one from each of equal stretches of the list; the result says
+            how many. None evaluates on the distribution only.
         space: what vectors mean, where `distribution` is not one that knows.
         evaluation_every: control steps of a round, at least those of an episode; a multiple of `train_every`.
         evaluation_episodes: episodes of each evaluation, at least 2; as many as there are robots for all of them.
@@ -93,7 +94,7 @@ def train_sac(
 
     Raises:
         BadInput, BadParameter, BadEffect, BadModel: what cannot be used, and why; BadInput also where the learning
-            blows up, or an observation or a reward is not finite.
+            blows up, an observation or a reward is not finite, or another process trains in `out`.
         CheckpointMismatch: `out` holds another training, or one in another environment; names the differences.
         SimulationDiverged: more than a tenth of a round's episodes blew up.
 
@@ -105,12 +106,12 @@ def train_sac(
             print(result.summary())
             torque = load_policy("policy").predict(observation)
     """
-    truth, vectors = (target.space, target.xi) if isinstance(target, Truth) else (None, target)
+    truth, vectors = (target.space, _robots(target)) if isinstance(target, Truth) else (None, target)
     if isinstance(vectors, Draws):
         raise BadInput("target takes vectors (n, D) or a Truth, the robots the policy is for, not a distribution")
     source, space = check_source(distribution, truth if distribution is None and space is None else space)
     vectors, target_space = check_source(vectors, truth or space)
-    steps, seed = whole_number("steps", steps, 1), whole_number("seed", seed, 0)
+    steps, seed = whole_number("steps", steps, 1), seed_number(seed)
     evaluation_every = whole_number("evaluation_every", evaluation_every, 1)
     evaluation_episodes = whole_number("evaluation_episodes", evaluation_episodes, 2)
     threads = whole_number("threads", threads, 1)
@@ -147,6 +148,12 @@ def train_sac(
         write_json(result)
     plot_returns(result, out / "returns.png")
     return result
+
+
+def _robots(truth: Truth) -> NDArray[np.float64]:
+    """The different vectors of a truth, which has one an episode, in the order in which they appear, (n, D)."""
+    _, first = np.unique(truth.xi, axis=0, return_index=True)
+    return truth.xi[np.sort(first)]
 
 
 def _check_device(device: str) -> None:

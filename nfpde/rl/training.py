@@ -31,6 +31,7 @@ from nfpde.rl.scoring import Scoring
 from nfpde.rl.settings import environment_settings, episode_limit
 from nfpde.rl.tasks import Environment, make_environment
 from nfpde.sim import model_hash
+from nfpde.storage import alone_in
 
 SETTINGS_VERSION = 2
 """Of what must be the same for a training to go on; one saved under another version does not."""
@@ -85,10 +86,11 @@ class Training:
 
         Raises:
             CheckpointMismatch: the folder holds another training.
-            BadInput: an environment that cannot be used, or learning that blew up.
+            BadInput: an environment that cannot be used, a folder in which another process trains, or learning that
+                blew up.
             SimulationDiverged: more than a tenth of a round's episodes blew up.
         """
-        with isolated_randomness(self.job.threads), self._environments():
+        with isolated_randomness(self.job.threads), self._environments(), self._folder():
             self._begin()
             started = time.monotonic() - self.seconds
             with progress(self.title, self.job.steps, start=self.learner.steps, quiet=self.job.quiet) as report:
@@ -130,6 +132,25 @@ class Training:
             if self.target is not None:
                 self.target.close()
 
+    @contextmanager
+    def _folder(self) -> Iterator[None]:
+        """The folder to itself, once the environments are seen to be of use: one for nothing is not made."""
+        self.label = self.training.label
+        longest = episode_limit(self.training)
+        if longest is not None and self.job.evaluation_every < longest:
+            raise BadInput(
+                f"evaluation_every is {self.job.evaluation_every}; it must be at least an episode of {self.label}, "
+                f"{longest} control steps: a round begins with a fresh episode"
+            )
+        self.here = self._scoring(self.training)
+        self.there = None if self.target is None else self._scoring(self.target)
+        self.identity = self._identity()
+        with alone_in(self.out, "training"):
+            yield
+
+    def _scoring(self, env: RandomizedParameters) -> Scoring:
+        return Scoring(env, self.job.evaluation_episodes, self.job.seed)
+
     def _past_commands(self) -> int:
         """What was asked for; or as the environment or a training to go on with has it; or what may be under way."""
         if self.job.past_commands is not None:
@@ -142,19 +163,7 @@ class Training:
         return 0 if self.source is None else self.training.pending_commands
 
     def _begin(self) -> None:
-        job = self.job
-        self.label = self.training.label
-        longest = episode_limit(self.training)
-        if longest is not None and job.evaluation_every < longest:
-            raise BadInput(
-                f"evaluation_every is {job.evaluation_every}; it must be at least an episode of {self.label}, "
-                f"{longest} control steps: a round begins with a fresh episode"
-            )
-        self.here = Scoring(self.training, job.evaluation_episodes, job.seed)
-        self.there = None if self.target is None else Scoring(self.target, job.evaluation_episodes, job.seed)
-        self.identity = self._identity()
-        saved = self._load()
-        self.out.mkdir(parents=True, exist_ok=True)  # one that cannot be made is told before a round is run
+        job, saved = self.job, self._load()
         self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
         if saved is None:
             self.policy = self._policy()
