@@ -92,10 +92,16 @@ class Evaluation:
         }
 
     def draw(self, path: Path | str, *, zoom: bool = False) -> Path:
-        """Write a corner plot of the estimate with the true parameters, and the population where it is known."""
-        truth = self.truth
-        drawn = self.recorded.draw_population(max(self.samples, 2000), np.random.default_rng(self.seed), truth.space)
-        return corner(self.xi, path, space=truth.space, truth=truth.xi, population=drawn, zoom=zoom)
+        """Write a corner plot of the estimate with the true parameters, and the population where it is known.
+
+        Of a population that was drawn in wider bounds only the part inside the estimate's is shown.
+        """
+        truth, space = self.truth, self.truth.space
+        drawn = self.recorded.draw_population(max(self.samples, 2000), np.random.default_rng(self.seed), space)
+        if drawn is not None:
+            drawn = drawn[((drawn >= space.low) & (drawn <= space.high)).all(1)]
+            drawn = drawn if len(drawn) > 1 else None
+        return corner(self.xi, path, space=space, truth=truth.xi, population=drawn, zoom=zoom)
 
     def __rich__(self) -> Group:
         """The tables for a terminal."""

@@ -1,5 +1,7 @@
 """Pictures of distributions."""
 
+from typing import Any
+
 import matplotlib
 import numpy as np
 import pytest
@@ -164,4 +166,9 @@ def test_corner_refuses_what_it_cannot_draw(tmp_path):
         corner(good, path, space=space, population=good[:1])
     with pytest.raises(BadInput, match=r"nominal must have shape \(2,\)"):
         corner(good, path, space=space, nominal=[1.0])
+    nonsense: Any = [["a", "b"]]
+    with pytest.raises(BadInput, match="truth: parameter vectors must be numbers"):
+        corner(good, path, space=space, truth=nonsense)
+    with pytest.raises(BadInput, match=r"nominal must be 2 numbers, one a parameter, got \[\['a', 'b'\]\]"):
+        corner(good, path, space=space, nominal=nonsense)
     assert not path.exists()

@@ -165,6 +165,8 @@ def test_load_refuses_what_does_not_fit(tmp_path):
     refuses("a density of 3 features for 2 parameters")
     edit(tmp_path, density={"kind": "realnvp", "features": 2, "transforms": 3, "hidden_features": [8]})
     refuses(r"the tensor flow\.transform\.transforms\.0\.hyper\.\d\.\w+ is torch\.float64 .* needs torch\.float64")
+    edit(tmp_path, density=None)
+    refuses(r"distribution\.json: the entry 'density' must be an object with a kind and sizes, got None")
     edit(tmp_path, density={"kind": "glow"})
     refuses(r"distribution\.json: unknown density kind 'glow'")
     edit(tmp_path, space={})
@@ -198,6 +200,43 @@ def test_arguments_that_do_not_fit_are_refused():
         make().log_prob([[3.0, 0.001], [np.nan, 0.001]])
     with pytest.raises(BadInput, match=r"nominal must have shape \(2,\)"):
         make().summary(nominal=[1.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda d: d.sample(-1), "n is -1; it must be an integer of at least 0"),
+        (lambda d: d.sample(2.5), "n is 2.5; it must be an integer"),
+        (lambda d: d.sample(5, seed=2**64), "seed is 18446744073709551616; it must be an integer from -9223372036854"),
+        (lambda d: d.sample(5, seed="a"), "seed is 'a'"),
+        (lambda d: d.mean(0), "samples is 0; it must be an integer of at least 1"),
+        (lambda d: d.std(0), "samples is 0"),
+        (lambda d: d.summary(samples=0), "samples is 0"),
+        (lambda d: d.summary(nominal=["a", "b"]), "nominal must be 2 numbers, one a parameter, got ['a', 'b']"),
+        (lambda d: d.quantiles(0.5, samples=0), "samples is 0"),
+        (lambda d: d.quantiles(1.5), "q is 1.5; it must be a number from 0 to 1, or a list of such"),
+        (lambda d: d.quantiles([0.5, float("nan")]), "q is [0.5, nan]"),
+        (lambda d: d.quantiles("half"), "q is 'half'"),
+        (lambda d: d.log_prob("x"), "parameter vectors must be numbers in rows of one length, shape (n, 2), got 'x'"),
+        (lambda d: d.log_prob([[1.0, 2.0], [1.0]]), "numbers in rows of one length"),
+    ],
+)
+def test_nonsense_is_refused_by_name(call, text):
+    """The message names the argument, the value and the rule; nothing of torch or numpy comes through."""
+    with pytest.raises(BadInput) as caught:
+        call(make())
+    assert text in str(caught.value)
+
+
+def test_arguments_at_their_limits():
+    """No sample at all, one, both ends of the seeds and of the quantiles."""
+    assert make().sample(0).shape == (0, 2)
+    assert make("mixture").sample(0).shape == (0, 2)
+    assert make().summary(samples=1).samples == 1
+    for seed in (-(2**63), 2**64 - 1):
+        assert make().sample(3, seed).shape == (3, 2)
+    low, high = make().quantiles([0, 1])
+    assert (low <= high).all()
 
 
 def test_summary_says_what_the_samples_say():

@@ -159,6 +159,14 @@ def test_some_transitions_diverge(method):
     # one transition each, of which all simulations diverge or none
     assert {row["diverged"] for row in result.history} == {0.0, 1.0}
     assert np.isfinite(result.distribution.sample(100)).all()
+    # with more of them in an iteration the others tell as much as ever
+    found = fit(simulator(fragile), DATA, method=method, config=LEARNING, seed=1, quiet=True)
+    assert all(0 < row["diverged"] < 1 for row in found.history)
+    xi = found.distribution.sample(500) / SPACE.width
+    np.testing.assert_allclose(xi.mean(0), TRUE / SPACE.width, atol=0.05)
+    assert (xi.std(0) < 0.1).all()
+    if method == "softmax":
+        assert found.history[-1]["beta"] < 0.1
 
 
 @pytest.mark.parametrize("call", [1, 2, 5])

@@ -1,5 +1,6 @@
 """Algorithm 1 on losses with a closed form: what it finds, its surrogate, and going on from a saved state."""
 
+import copy
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,8 @@ import torch
 from nfpde.checkpoint import load_state, save_state
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, NfpdeTrainer
-from nfpde.estimation.nfpde import as_tensor, surrogate
+from nfpde.estimation.ascent import TRUST, ascend, divergence, surrogate
+from nfpde.estimation.nfpde import as_tensor
 from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
 
@@ -42,8 +44,8 @@ def trainer(candidate: Any = "softmax", config=TINY, seed=0, loss=losses):
     return NfpdeTrainer(loss, len(ROBOTS), 2, SPACE, candidate, config, seed)
 
 
-def run(candidate, config, seed):
-    made = trainer(candidate, config, seed)
+def run(candidate, config, seed, loss=losses):
+    made = trainer(candidate, config, seed, loss)
     for _ in range(config.iterations):
         made.step()
     return made
@@ -239,9 +241,85 @@ def test_seeds():
 
 def test_weights_that_blow_up_are_an_error():
     """A learning rate beyond all reason ends with a message, not with NaN in the distribution."""
-    made = trainer(config=replace(TINY, learning_rate=1e4))
-    with pytest.raises(BadInput, match=r"no longer finite after iteration 1: the learning rate 10000 is too high"):
+    made = trainer(config=replace(TINY, learning_rate=1e200))
+    with pytest.raises(BadInput, match=r"no longer finite after iteration 1: the learning rate 1e\+200 is too high"):
         made.step()
+
+
+@pytest.mark.parametrize("rate", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("candidate", ["softmax", "cai"])
+def test_no_iteration_leaves_its_samples(candidate, rate):
+    """The flow diverges from the one that was sampled by no more than the bound, whatever the steps' size."""
+    made = trainer(candidate, replace(TINY, learning_rate=rate, samples=200, gradient_steps=20))
+    for _ in range(6):
+        before = copy.deepcopy(made.flow)
+        generator = torch.Generator()
+        generator.set_state(made.generator.get_state())
+        z = before.sample(200, generator)
+        made.step()
+        with torch.no_grad():
+            assert divergence(made.flow.log_prob(z) - before.log_prob(z)) <= TRUST
+
+
+def test_divergence_is_that_of_two_gaussians():
+    """Mean and width moved: log s + (1 + m^2) / (2 s^2) - 1/2; that of a step to nowhere is infinite."""
+    z = torch.randn(100_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    for mean, width in ((0.0, 1.0), (0.7, 1.0), (0.0, 0.8), (0.3, 1.5)):
+        new = torch.distributions.Normal(mean, width).log_prob(z)
+        found = divergence(new - torch.distributions.Normal(0.0, 1.0).log_prob(z))
+        exact = np.log(width) + (1 + mean**2) / (2 * width**2) - 0.5
+        # five standard errors of a mean of terms that vary by about one
+        assert found == pytest.approx(exact, abs=5 / np.sqrt(100_000))
+    assert divergence(torch.full((3,), -np.inf)) == np.inf
+
+
+@pytest.mark.parametrize("size", [1.0, -1.0])
+def test_equal_weights_move_nothing(size):
+    """Eq. 8 is the same for every flow where all weights are: E_old[p / p_old] = 1, on the samples as in the mean."""
+    made = trainer()
+    z = made.flow.sample(50, torch.Generator().manual_seed(1))
+    before = [p.detach().clone() for p in made.flow.parameters()]
+    assert ascend(made.flow, made.optimizer, z, torch.full((50,), size / 50, dtype=torch.float64), 0.5, 20)
+    for now, then in zip(made.flow.parameters(), before, strict=True):
+        # what rounding leaves of the gradients Adam brings to its own size, a millionth of a step here
+        assert torch.allclose(now, then, atol=1e-3 * TINY.learning_rate)
+
+
+@pytest.mark.parametrize("candidate", ["softmax", "cai"])
+def test_losses_that_are_all_alike_leave_the_box(candidate):
+    """Through all iterations, for both signs of the weights: nothing was told, and nothing is known."""
+    found = run(candidate, LEARNING, 0, lambda xi, batch: np.ones((len(xi), len(batch))))
+    np.testing.assert_allclose(samples(found).std(0), SPACE.width / np.sqrt(12), rtol=0.06)
+
+
+def test_losses_that_tell_nothing_leave_the_box():
+    """Losses by chance: the widths wander with the samples, and on the whole they stay."""
+    rng = np.random.default_rng(0)
+
+    def chance(xi, batch):
+        return rng.random((len(xi), len(batch)))
+
+    widths = [samples(run("softmax", LEARNING, seed, chance)).std(0) for seed in range(3)]
+    # six widths that scatter by a third each in so many iterations; positive weights alone would leave a fifth
+    assert 0.6 < np.mean(widths / (SPACE.width / np.sqrt(12))) < 1.4
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("candidate", ["softmax", "cai"])
+def test_exact_losses_end_at_the_truth(candidate, seed):
+    """With the default steps: however narrow the flow becomes, the truth stays within it."""
+    space = ParameterSpace([Parameter("a", low=0.0, high=10.0), Parameter("b", low=0.0, high=10.0)])
+    rows, true = np.random.default_rng(0).normal(size=(30, 2)), np.array([3.0, 7.0])
+
+    def exact(xi, batch):
+        return ((xi - true) @ rows[batch].T) ** 2
+
+    made = NfpdeTrainer(exact, 30, 1, space, candidate, NfpdeConfig(iterations=40, samples=300), seed)
+    while not made.done:
+        made.step()
+    xi = space.to_physical(made.flow.sample(500, torch.Generator().manual_seed(9)).numpy())
+    assert (xi.std(0) < 0.01 * space.width).all()
+    assert (np.abs(xi.mean(0) - true) < 3 * xi.std(0)).all()
 
 
 @pytest.mark.parametrize(

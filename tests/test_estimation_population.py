@@ -294,6 +294,28 @@ def test_a_finished_fit_is_read_back(tmp_path):
         nfpde.fit(linear_simulator(), dataset, out=tmp_path, resolution=0.1, quiet=True)
 
 
+def test_a_state_is_read_back_with_one_thread(tmp_path, monkeypatch):
+    """Whether the fit is finished or goes on: flows are trained there too, whose last digits hang on the threads."""
+    rng = np.random.default_rng(22)
+    dataset = nfpde.Dataset([e for i in range(2) for e in moments(f"{i}", (1.0 + i, 0.5), rng)])
+    nfpde.fit(linear_simulator(), dataset, out=tmp_path, quiet=True)
+    seen, restore = [], TwoStages.restore
+
+    def watched(*arguments):
+        seen.append(torch.get_num_threads())
+        restore(*arguments)
+
+    monkeypatch.setattr(TwoStages, "restore", watched)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        nfpde.fit(linear_simulator(), dataset, out=tmp_path, quiet=True)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert seen == [1]
+
+
 def pendulum_step(state, u, xi):
     """A damped pendulum, semi-implicit Euler in five parts of a step."""
     angle, speed = state[:, 0], state[:, 1]

@@ -7,7 +7,7 @@ import pytest
 
 import nfpde
 from nfpde.estimation.trajectory.advice import _information
-from nfpde.estimation.trajectory.identify import Knowledge, describe_knowledge
+from nfpde.estimation.trajectory.identify import Knowledge, _percent, describe_knowledge
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.noise import Noise, Scatter
 from nfpde.estimation.trajectory.problem import make_problem
@@ -107,3 +107,21 @@ def test_a_few_moments_tell_what_they_tell(count):
     # the end moves by 0.1 x 2 u a width of the bounds
     slopes = 0.2 * u[:-1] / problem.unit / 0.01
     np.testing.assert_allclose(found, (slopes**2).mean(), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.123, "12 %"), (0.994, "99 %"), (0.997, "1e2 %"), (1.2345, "123 %"), (0.00123, "0.12 %"), (12.3, "1230 %")],
+)
+def test_percents_are_plain_numbers(share, text):
+    """Two digits that count below a hundred, and no power of ten from there on."""
+    assert _percent(share) == text.replace("1e2", "100")
+
+
+def test_errors_of_a_hundred_and_more_are_plain_numbers():
+    """With a unit too, alone and of a combination."""
+    space = space_of("a", "b", low=-1e5, high=1e5, units="N")
+    told = known(space, [1.0, 1.0], np.diag([150.4**2, 99.7**2]))
+    assert [told.words(i) for i in (0, 1)] == ["known to 150 N", "known to 100 N"]
+    (row,) = known(space, [0.0, 0.0], tied([1.0, 1.0], 9000.0, 234.0)).pairs()
+    assert "a + b is known to 234 N" in row["words"]

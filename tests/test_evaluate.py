@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rich.console import Console
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from nfpde.corner import corner
 from nfpde.distribution import ParameterDistribution
 from nfpde.errors import BadInput, SpaceMismatch
 from nfpde.evaluate import evaluate
@@ -157,3 +159,23 @@ def test_a_fit_may_have_other_bounds_and_another_order():
     xi = estimate.sample(200, 0)[:, ::-1]
     assert result.names == ["damping", "mass"]
     assert result.to_episodes["estimate"].physical == pytest.approx(emd(xi, truth.xi).cost, rel=1e-9)  # order of sums
+
+
+@pytest.mark.parametrize(("low", "high", "drawn"), [(3.5, 4.6, True), (3.9999999, 4.0000001, False)])
+def test_a_picture_in_narrower_bounds_than_the_populations(tmp_path, monkeypatch, low, high, drawn):
+    """What of the population lies outside of the fit's bounds is left out, all of it where none lies inside."""
+    shown = {}
+
+    def watched(xi, path, **given):
+        shown.update(given)
+        return corner(xi, path, **given)
+
+    monkeypatch.setattr(sys.modules["nfpde.evaluate"], "corner", watched)
+    narrow = ParameterSpace([Parameter("mass", low=low, high=high, unit="kg"), SPACE[1]])
+    truth = Truth(SPACE, np.array([[4.0, 0.05]]), ["only"], POPULATION)
+    result = evaluate(gaussian([4.0, 0.05], 0.5, narrow), truth, samples=50)
+    assert result.draw(tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+    assert (shown["population"] is not None) == drawn
+    if drawn:
+        # a normal distribution of standard deviation 0.2, cut 2.5 below and 3 above its mean
+        assert 0.98 < len(shown["population"]) / 2000 < 1

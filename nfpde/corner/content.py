@@ -50,7 +50,10 @@ def make_content(
     drawn = None if population is None else _points("population", population, space)
     if drawn is not None and len(drawn) < 2:
         raise BadInput(f"a population is drawn from at least 2 draws of it, got {len(drawn)}")
-    own = None if nominal is None else np.asarray(nominal, dtype=np.float64)
+    try:
+        own = None if nominal is None else np.asarray(nominal, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadInput(f"nominal must be {len(space)} numbers, one a parameter, got {nominal!r}") from None
     if own is not None and own.shape != (len(space),):
         raise BadInput(f"nominal must have shape ({len(space)},), one value a parameter, got {own.shape}")
     low, high = space.low, space.high

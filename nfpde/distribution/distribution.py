@@ -59,8 +59,19 @@ class ParameterDistribution:
         """Draw n parameter vectors, (n, D) in physical units, strictly inside the box.
 
         Equal seeds give equal samples; no global random state is touched.
+
+        Args:
+            n: How many, 0 or more.
+            seed: From -2^63 to 2^64 - 1.
+
+        Raises:
+            BadInput: Another n or seed.
         """
-        z = self.density.sample(index(n), torch.Generator().manual_seed(index(seed)))
+        count = _integer("n", n, 0)
+        generator = torch.Generator().manual_seed(_integer("seed", seed, -(2**63), 2**64 - 1))
+        if not count:
+            return np.empty((0, len(self.space)))
+        z = self.density.sample(count, generator)
         return np.clip(self.space.to_physical(z.cpu().numpy()), self._first, self._last)
 
     def log_prob(self, xi: ArrayLike) -> NDArray[np.float64]:
@@ -69,9 +80,15 @@ class ParameterDistribution:
         On the bounds and outside of them it is -inf.
 
         Raises:
-            BadInput: Wrong shape, or NaN.
+            BadInput: No numbers, wrong shape, or NaN.
         """
-        xi = np.atleast_2d(np.asarray(xi, dtype=np.float64))
+        try:
+            xi = np.atleast_2d(np.asarray(xi, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise BadInput(
+                f"parameter vectors must be numbers in rows of one length, shape (n, {len(self.space)}), got {xi!r}: "
+                f"{self.space}"
+            ) from None
         if xi.ndim != 2 or xi.shape[1] != len(self.space):
             raise BadInput(f"parameter vectors must have shape (n, {len(self.space)}), got {xi.shape}: {self.space}")
         if np.isnan(xi).any():
@@ -84,25 +101,42 @@ class ParameterDistribution:
 
     def mean(self, samples: int = 20_000, seed: int = 0) -> NDArray[np.float64]:
         """Mean (D,), from samples: its standard error is std / sqrt(samples)."""
-        return self.sample(samples, seed).mean(0)
+        return self._some(samples, seed).mean(0)
 
     def std(self, samples: int = 20_000, seed: int = 0) -> NDArray[np.float64]:
         """Standard deviation (D,), from samples."""
-        return self.sample(samples, seed).std(0)
+        return self._some(samples, seed).std(0)
 
     def quantiles(self, q: float | Sequence[float], samples: int = 20_000, seed: int = 0) -> NDArray[np.float64]:
-        """Quantiles of each parameter, from samples: (D,) for one q in [0, 1], (len(q), D) for several."""
-        return np.quantile(self.sample(samples, seed), q, axis=0)
+        """Quantiles of each parameter, from samples: (D,) for one q in [0, 1], (len(q), D) for several.
+
+        Raises:
+            BadInput: q that is no number from 0 to 1, or no list of such.
+        """
+        try:
+            shares = np.asarray(q, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise BadInput(f"q is {q!r}; it must be a number from 0 to 1, or a list of such") from None
+        if shares.ndim > 1 or not ((shares >= 0) & (shares <= 1)).all():
+            raise BadInput(f"q is {q!r}; it must be a number from 0 to 1, or a list of such")
+        return np.quantile(self._some(samples, seed), shares, axis=0)
 
     def summary(self, nominal: ArrayLike | None = None, *, samples: int = 20_000, seed: int = 0) -> Summary:
         """A table with one row a parameter; `rich` prints it, `to_json` gives plain values.
 
         Args:
             nominal: The model's own values (D,), shown beside; NaN where there is none.
-            samples: Number of samples that the figures come from.
+            samples: Number of samples that the figures come from, 1 or more.
             seed: Of the samples.
+
+        Raises:
+            BadInput: Fewer samples, or `nominal` of another shape.
         """
-        return summarise(self.space, self.sample(samples, seed), nominal)
+        return summarise(self.space, self._some(samples, seed), nominal)
+
+    def _some(self, samples: int, seed: int) -> NDArray[np.float64]:
+        """Samples of which figures are made, which need one at least."""
+        return self.sample(_integer("samples", samples, 1), seed)
 
     def save(self, folder: Path | str) -> None:
         """Write `distribution.json` and `flow.safetensors` into `folder`, made where it is missing."""
@@ -135,3 +169,15 @@ class ParameterDistribution:
             for i in range(0, len(z), _CHUNK)
         ]
         return np.concatenate([np.empty(0), *parts])
+
+
+def _integer(name: str, value: int, least: int, most: int | None = None) -> int:
+    """An integer in its range as a plain one, whatever kind it is of."""
+    try:
+        number = index(value)
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        limits = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise BadInput(f"{name} is {value!r}; it must be an integer {limits}")
+    return number

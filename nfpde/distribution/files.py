@@ -56,7 +56,10 @@ def load(folder: Path | str, space: ParameterSpace | None = None) -> tuple[Param
     )
     try:
         saved = ParameterSpace.from_json(content["space"], source=str(path))
-        density = make_density(content["density"])
+        config = content["density"]
+        if not isinstance(config, dict):
+            raise BadInput(f"the entry 'density' must be an object with a kind and sizes, got {config!r}")
+        density = make_density(config)
     except KeyError as error:
         raise BadInput(f"{path}: the entry {error} is missing") from None
     except NfpdeError as error:

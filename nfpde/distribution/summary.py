@@ -84,7 +84,10 @@ class Summary:
 
 def summarise(space: ParameterSpace, xi: NDArray[np.float64], nominal: ArrayLike | None = None) -> Summary:
     """Summarise samples xi (n, D) of a distribution over `space`; `nominal` (D,) holds NaN where unknown."""
-    own = np.full(len(space), np.nan) if nominal is None else np.asarray(nominal, dtype=np.float64)
+    try:
+        own = np.full(len(space), np.nan) if nominal is None else np.asarray(nominal, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadInput(f"nominal must be {len(space)} numbers, one a parameter, got {nominal!r}") from None
     if own.shape != (len(space),):
         raise BadInput(f"nominal must have shape ({len(space)},), one value a parameter, got {own.shape}")
     mean, std = xi.mean(0), xi.std(0)

@@ -7,23 +7,36 @@ import math
 import torch
 from torch import Tensor
 
+from nfpde.sim import LOSS_LIMIT
+
 
 def cai(losses: Tensor) -> Tensor:
     """Eq. 10 (control as inference): log p(o_i | xi_j) = -l_ij; losses (M, N) to (M, N).
 
-    It follows the lower bound of Eq. 6, whose maximiser is a single point: kept for comparison.
+    It follows the lower bound of Eq. 6, whose maximiser is a single point: kept for comparison. A sample that diverged
+    counts as the worst of its transition that did not: `LOSS_LIMIT` is no size of an error, and Adam, which goes by the
+    size of earlier gradients, would hardly move again after one.
     """
-    return -losses
+    fine = losses < LOSS_LIMIT
+    worst = torch.where(fine, losses, 0.0).amax(0)
+    return -torch.where(fine, losses, worst)
 
 
 def softmax(losses: Tensor, beta: float) -> Tensor:
     """Eq. 11: exp(-l_ij / beta), normalised over the M samples; losses (M, N) to weights (M, N).
 
     The weights are the responsibilities of the samples for a transition, so that ascending Eq. 8 is a step of
-    stochastic expectation-maximisation on the marginal likelihood, Eq. 5.
+    stochastic expectation-maximisation on the marginal likelihood, Eq. 5. A sample that diverged has the weight 0, as
+    `LOSS_LIMIT` is no size of an error, and so has every sample of a transition of which all diverged.
     """
-    weights = torch.exp(-(losses - losses.amin(0)) / beta)
-    return weights / weights.sum(0)
+    fine = losses < LOSS_LIMIT
+    weights = torch.exp(-(losses - losses.amin(0)) / beta) * fine
+    return weights / weights.sum(0).clamp_min(torch.finfo(weights.dtype).tiny)
+
+
+def sound(losses: Tensor) -> Tensor:
+    """Transitions of which some sample did not diverge: only these tell anything; losses (M, N) to (N,)."""
+    return (losses < LOSS_LIMIT).any(0)
 
 
 def effective_samples(weights: Tensor) -> Tensor:
@@ -46,7 +59,7 @@ def next_beta(losses: Tensor, beta: float | None, channels: int, least_effective
     until half of the transitions have `least_effective` effective samples.
 
     Args:
-        losses: of this batch, (M, N).
+        losses: of this batch, (M, N); of every transition one at least below `LOSS_LIMIT`.
         beta: the last temperature; None for the first batch.
         channels: numbers compared in one loss.
         least_effective: the floor of the median effective sample size.
@@ -54,13 +67,16 @@ def next_beta(losses: Tensor, beta: float | None, channels: int, least_effective
     Returns:
         The next temperature, positive.
     """
-    weights = torch.full_like(losses, 1.0 / len(losses)) if beta is None else softmax(losses, beta)
+    # a temperature without end takes all samples for equal, but for those that diverged
+    weights = softmax(losses, math.inf if beta is None else beta)
     proposal = 2.0 * float((weights * losses).sum(0).mean()) / channels
     lowest = torch.finfo(torch.float64).tiny * 1e10
     proposal = max(proposal, lowest)
+    # no temperature gives weight to samples that diverged
+    least_effective = min(least_effective, float((losses < LOSS_LIMIT).sum(0).double().quantile(0.5)))
     if typical_effective(softmax(losses, proposal)) >= least_effective:
         return proposal
-    low, high = math.log(proposal), math.log(max(float(losses.max()) * len(losses), proposal))
+    low, high = math.log(proposal), math.log(max(float(losses[losses < LOSS_LIMIT].max()) * len(losses), proposal))
     while high - low > 1e-3:
         middle = 0.5 * (low + high)
         enough = typical_effective(softmax(losses, math.exp(middle))) >= least_effective

@@ -59,7 +59,12 @@ class TrajectoryConfig:
     starts: int = setting(4, "quasi-random starting points for every robot", 1)
     steps: int = setting(8, "steps of Levenberg-Marquardt in a round", 1)
     rounds: int = setting(12, "at most so many rounds; each learns the noise anew", 1)
-    draws: int = setting(100, "parameter vectors drawn for every robot in a round of the population", 4)
+    draws: int = setting(
+        100,
+        "parameter vectors drawn for every robot in a round of the population: at least 30 and 4 for every parameter, "
+        "fewer where 20000 for all robots together are enough",
+        4,
+    )
     population_rounds: int = setting(4, "at most so many rounds of the population; it stops where it gains no more", 1)
 
     def __post_init__(self) -> None:

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import BadInput, SimulationDiverged
-from nfpde.estimation.candidates import cai, next_beta, softmax, typical_effective
+from nfpde.estimation.ascent import ascend
+from nfpde.estimation.candidates import cai, next_beta, softmax, sound, typical_effective
 from nfpde.estimation.config import NfpdeConfig
 from nfpde.flow import Flow, build_flow
 from nfpde.parameters import ParameterSpace
@@ -47,20 +48,6 @@ def as_tensor(losses: OnDevice) -> Tensor:
 def _diverged(losses: Tensor) -> float:
     """Share of simulations that diverged."""
     return float((losses >= LOSS_LIMIT).double().mean())
-
-
-def surrogate(ratio: Tensor, weight: Tensor, clip: float) -> Tensor:
-    """Eq. 8 on M samples: the sum of ratio x weight, pessimistically clipped as in PPO (Schulman et al., 2017).
-
-    Args:
-        ratio: p_theta(xi) / p_old(xi) of every sample, (M,).
-        weight: log p(o | xi) of every sample in the sense of Eq. 10 or 11, averaged over transitions, (M,).
-        clip: c of min(ratio x weight, clamp(ratio, 1 - c, 1 + c) x weight); 0 takes the plain ratio.
-    """
-    gain = ratio * weight
-    if clip > 0:
-        gain = torch.minimum(gain, ratio.clamp(1 - clip, 1 + clip) * weight)
-    return gain.sum()
 
 
 @dataclass
@@ -128,21 +115,14 @@ class NfpdeTrainer:
         if diverged == 1.0:
             losses = losses.clone()  # the next call may write over them
             self._check_others(z[:FEW])
-        if self.candidate == "softmax":
-            self.beta = self.config.beta or next_beta(losses, self.beta, self.channels, self.config.least_effective)
-            values = softmax(losses, self.beta)
-            explained = float((values * losses).sum(0).mean())
-            figures = {"beta": self.beta, "effective": typical_effective(values), "diverged": diverged}
-            weight = values.mean(1)
-        else:
-            values = cai(losses)
-            explained = -float(values.mean())
-            figures = {"diverged": diverged}
-            weight = values.mean(1) / len(values)
-        self._ascend(z, weight.cpu())
+        figures = {"loss": LOSS_LIMIT}
+        # a transition of which all samples diverge tells nothing of them
+        losses = losses[:, sound(losses)]
+        if losses.shape[1]:
+            figures = self._learn(z, losses)
         self.iteration += 1
         seconds = time.perf_counter() - started
-        self.history.append({"iteration": self.iteration, "loss": explained, **figures, "seconds": seconds})
+        self.history.append({"iteration": self.iteration, **figures, "diverged": diverged, "seconds": seconds})
         return self.history[-1]
 
     def _check_others(self, z: Tensor) -> None:
@@ -155,23 +135,30 @@ class NfpdeTrainer:
                 "step and the bounds"
             )
 
-    def _ascend(self, z: Tensor, weight: Tensor) -> None:
-        """Adam on the surrogate of Eq. 8."""
+    def _learn(self, z: Tensor, losses: Tensor) -> dict[str, float]:
+        """Weigh the samples z (M, D) by their losses (M, B) and ascend; returns the figures."""
         c = self.config
+        if self.candidate == "softmax":
+            self.beta = c.beta or next_beta(losses, self.beta, self.channels, c.least_effective)
+            values = softmax(losses, self.beta)
+            figures = {
+                "loss": float((values * losses).sum(0).mean()),
+                "beta": self.beta,
+                "effective": typical_effective(values),
+            }
+            weight = values.mean(1)
+        else:
+            values = cai(losses)
+            figures = {"loss": -float(values.mean())}
+            weight = values.mean(1) / len(values)
         for group in self.optimizer.param_groups:
             group["lr"] = c.learning_rate * (1 - 0.9 * min(1.0, self.iteration / c.iterations))
-        with torch.no_grad():
-            old = self.flow.log_prob(z)
-        for _ in range(c.gradient_steps):
-            ratio = torch.exp(self.flow.log_prob(z) - old)
-            self.optimizer.zero_grad()
-            (-surrogate(ratio, weight, c.clip)).backward()
-            self.optimizer.step()
-        if not all(bool(torch.isfinite(p).all()) for p in self.flow.parameters()):
+        if not ascend(self.flow, self.optimizer, z, weight.cpu(), c.clip, c.gradient_steps):
             raise BadInput(
                 f"the flow's weights are no longer finite after iteration {self.iteration + 1}: the learning rate "
                 f"{c.learning_rate:g} is too high; lower learning_rate"
             )
+        return figures
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything the next iteration depends on, as tensors and JSON."""

@@ -87,6 +87,14 @@ def run_estimator(
         CheckpointMismatch: `out` belongs to another run, or to another simulator by what it does.
         KeyboardInterrupt: after saving a checkpoint.
     """
+    # reading a state back trains flows as well, whose last digits hang on the number of threads
+    with _one_thread():
+        return _run(trainer, simulator, dataset, run, out, quiet)
+
+
+def _run(
+    trainer: Estimator, simulator: Simulator, dataset: Dataset, run: dict[str, Any], out: Path | None, quiet: bool
+) -> dict[str, float]:
     folder = None if out is None else out / "checkpoint"
     behaviour, saved = None, None
     if folder is not None:
@@ -123,7 +131,7 @@ def run_estimator(
         return counted
     # an interrupt may hit in the middle of an iteration: what is saved is always the state at the end of one
     whole = snapshot()
-    with _one_thread(), progress(trainer.title, total, start=trainer.iteration, quiet=quiet) as report:
+    with progress(trainer.title, total, start=trainer.iteration, quiet=quiet) as report:
         try:
             while not trainer.done:
                 figures = trainer.step()

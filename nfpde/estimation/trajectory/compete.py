@@ -16,6 +16,7 @@ from nfpde.estimation.trajectory.information import inverse
 from nfpde.estimation.trajectory.likelihood import Quadratic
 from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.pool import Population, Ratios
+from nfpde.estimation.trajectory.predicting import scores_with_bounds
 from nfpde.estimation.trajectory.sharpening import Kernels
 
 Array = NDArray[np.float64]
@@ -76,7 +77,7 @@ class Competition:
         """
         first = self.candidates[0]
         best = max(self.candidates, key=lambda c: float(c.scores.mean()))
-        gain = _with_bounds(best.scores) - _with_bounds(first.scores)
+        gain = scores_with_bounds(best.scores) - scores_with_bounds(first.scores)
         error = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else np.inf
         return best if gain.mean() > error else first
 
@@ -155,12 +156,6 @@ def compete(
         scores = np.array([ratios.log_evidence(g, without[fold[g]]) for g in range(robots)])
         candidates.append(Candidate(name, whole, without, scores))
     return Competition(candidates, fold)
-
-
-def _with_bounds(scores: Array) -> Array:
-    """Scores [nats] of populations that keep one part in G + 1 for the uniform box, whose own scores are 0."""
-    robots = len(scores)
-    return np.logaddexp(scores + np.log(robots / (robots + 1)), -np.log(robots + 1))
 
 
 def untold(posteriors: Sequence[LocalPosterior], spread: Array) -> Array:

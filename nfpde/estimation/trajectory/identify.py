@@ -153,7 +153,7 @@ class Knowledge:
         names = [text + self.space[i].name for i, text in zip(members, texts, strict=True)]
         words = names[0] + "".join(f" {'+' if f > 0 else '-'} {t}" for f, t in zip(v[1:], names[1:], strict=True))
         error, total = self._error(members, shown), abs(float(shown @ self.value[members]))
-        known = _percent(error / total) if total > error else f"{error:.2g} {self.space[members[0]].unit}".strip()
+        known = _percent(error / total) if total > error else f"{_figure(error)} {self.space[members[0]].unit}".strip()
         return f"{words} is known to {known}"
 
     def _error(self, members: NDArray[np.intp], v: Array) -> float:
@@ -219,10 +219,15 @@ def describe_knowledge(rows: list[Knowledge]) -> dict[str, Any]:
 def _precision(space: ParameterSpace, i: int, value: float, std: float) -> str:
     if space[i].low > 0 or space[i].high < 0:
         return _percent(std / abs(value))
-    return f"{std:.2g} {space[i].unit}".strip()
+    return f"{_figure(std)} {space[i].unit}".strip()
 
 
 def _percent(share: float) -> str:
     if not np.isfinite(share):
         return "nothing"
-    return "better than 0.001 %" if share < FINEST else f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
+    return "better than 0.001 %" if share < FINEST else f"{_figure(100 * share)} %"
+
+
+def _figure(value: float) -> str:
+    """Two digits that count; from 100 up a whole number, as two digits would come with a power of ten."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

@@ -19,6 +19,7 @@ from nfpde.estimation.trajectory.modes import LocalPosterior
 from nfpde.estimation.trajectory.noise import Noise
 from nfpde.estimation.trajectory.pool import Pool, Population, Ratios
 from nfpde.estimation.trajectory.population import smoothing_matrix
+from nfpde.estimation.trajectory.predicting import surely_better, with_bounds
 from nfpde.estimation.trajectory.problem import Problem
 from nfpde.estimation.trajectory.ridges import along_ridges, onto_ridges
 from nfpde.estimation.trajectory.sampling import (
@@ -79,7 +80,10 @@ class PopulationEstimator:
 
     @property
     def draws(self) -> int:
-        """Draws for every robot in a round: fewer where many robots share what there is to learn."""
+        """Draws for every robot in a round.
+
+        Fewer than asked for where many robots share what there is to learn, more where so few would tell no moments.
+        """
         fewest = max(30, 4 * self.features)
         return max(fewest, min(self.config.draws, DRAWS_IN_ALL // self.robots))
 
@@ -125,11 +129,8 @@ class PopulationEstimator:
 
     @property
     def informs(self) -> bool:
-        """Whether the others predict a robot left out better than the bounds do, beyond the standard error."""
-        if self.competition is None:
-            return False
-        scores = self.competition.winner.scores
-        return bool(scores.mean() > scores.std(ddof=1) / np.sqrt(len(scores)))
+        """Whether the others surely predict a robot left out better than the bounds do, see `surely_better`."""
+        return self.competition is not None and surely_better(self.competition.winner.scores)
 
     def robot_posteriors(self) -> list[Gaussians]:
         """Posterior of every robot; with the population of all others for prior where that predicts better."""
@@ -139,9 +140,9 @@ class PopulationEstimator:
         for g, analytic in enumerate(self.local):
             weights = ratios.box_weights(g)
             if self.informs and competition is not None:
-                others = competition.others_of(g)
-                analytic = self._informed(g, others)
-                weights = ratios.weights(g, others)
+                prior = with_bounds(competition.others_of(g), self.robots)
+                analytic = self._informed(g, prior)
+                weights = ratios.weights(g, prior)
             if ratios.sampled[g]:
                 analytic = corrected(analytic, ratios.z[g], weights, chain=self.linked[g])
             found.append(analytic)
@@ -202,6 +203,6 @@ class PopulationEstimator:
                 proposals.append(next_proposal(self._informed(g, others), p, others.gaussians))
         return proposals
 
-    def _informed(self, g: int, others: Population) -> Gaussians:
-        """Robot g's posterior with the population of the others for prior, by Laplace's method."""
-        return self.quadratics[g].times(others.gaussians).reduced(max(MOST, len(self.local[g].weights)), 1e-3)
+    def _informed(self, g: int, prior: Population) -> Gaussians:
+        """Robot g's posterior with a population for prior, by Laplace's method."""
+        return self.quadratics[g].times(prior.gaussians).reduced(max(MOST, len(self.local[g].weights)), 1e-3)
