@@ -168,7 +168,8 @@ impl Workers {
         }
     }
 
-    /// Runs `task` over blocks of the rows of a cost and joins the parts in order.
+    /// Runs `task` over blocks of the rows of a cost and joins the parts in order, as soon as they are there: each holds
+    /// numbers for all columns.
     ///
     /// # Errors
     /// `Interrupted` or `NotOptimal`, from the watch, which is asked now and then.
@@ -177,21 +178,21 @@ impl Workers {
         cost: &dyn Cost,
         watch: &mut Watch<'_>,
         task: impl Fn(Range<usize>) -> T + Sync,
-    ) -> Result<Vec<T>, OtError> {
+        mut join: impl FnMut(T),
+    ) -> Result<(), OtError> {
         let threads = self.0.as_ref().map_or(1, rayon::ThreadPool::current_num_threads);
-        let mut parts = Vec::new();
         for rows in blocks(cost.rows(), threads * rows_between_questions(cost.cols())) {
             watch.ask()?;
             let Some(pool) = &self.0 else {
-                parts.push(task(rows));
+                join(task(rows));
                 continue;
             };
             let size = ROWS_A_TASK.max(rows.len().div_ceil(8 * threads));
             let some: Vec<Range<usize>> = blocks(rows.len(), size).collect();
             let task = |part: &Range<usize>| task(rows.start + part.start..rows.start + part.end);
-            parts.extend(pool.install(|| some.par_iter().map(task).collect::<Vec<T>>()));
+            pool.install(|| some.par_iter().map(task).collect::<Vec<T>>()).into_iter().for_each(&mut join);
         }
-        Ok(parts)
+        Ok(())
     }
 }
 
@@ -218,7 +219,7 @@ pub fn shortlist(
     watch: &mut Watch<'_>,
 ) -> Result<Pass, OtError> {
     let m = cost.cols();
-    let parts = workers.over_rows(cost, watch, |rows| {
+    let task = |rows: Range<usize>| {
         let mut scratch = Scratch::new(m);
         let mut best = ColumnBest::new(m);
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
@@ -230,10 +231,10 @@ pub fn shortlist(
             run(Improve { best: &mut best, reduced: &scratch.reduced, costs: &scratch.costs, low, row: row as f64 });
         }
         (minima, arcs, best)
-    })?;
+    };
     let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: vec![(0, 0.0); m] };
     let mut slack = vec![f64::INFINITY; m];
-    for (minima, arcs, best) in parts {
+    workers.over_rows(cost, watch, task, |(minima, arcs, best)| {
         pass.row_minimum.extend(minima);
         pass.arcs.extend(arcs);
         for (j, slack) in slack.iter_mut().enumerate() {
@@ -242,7 +243,7 @@ pub fn shortlist(
                 pass.col_best[j] = (best.row[j] as u32, best.cost[j]);
             }
         }
-    }
+    })?;
     Ok(pass)
 }
 
@@ -259,7 +260,7 @@ pub fn violated(
     workers: &Workers,
     watch: &mut Watch<'_>,
 ) -> Result<Pass, OtError> {
-    let parts = workers.over_rows(cost, watch, |rows| {
+    let task = |rows: Range<usize>| {
         let mut scratch = Scratch::new(cost.cols());
         let (mut minima, mut arcs) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
         for row in rows {
@@ -274,11 +275,11 @@ pub fn violated(
             arcs.push(scratch.found.clone());
         }
         (minima, arcs)
-    })?;
+    };
     let mut pass = Pass { row_minimum: Vec::new(), arcs: Vec::new(), col_best: Vec::new() };
-    for (minima, arcs) in parts {
+    workers.over_rows(cost, watch, task, |(minima, arcs)| {
         pass.row_minimum.extend(minima);
         pass.arcs.extend(arcs);
-    }
+    })?;
     Ok(pass)
 }
