@@ -19,8 +19,8 @@ from nfpde.sim import Simulator
 
 CHECKPOINT_SECONDS = 5.0
 
-STATE_VERSION = 2
-"""Of what a checkpoint holds."""
+STATE_VERSION = 3
+"""Of what a checkpoint holds, and of what is made of it."""
 
 
 class Estimator(Protocol):
