@@ -394,3 +394,8 @@ def test_fit_by_trajectory_is_the_default(folder, tmp_path):
     status, _, err = run("fit", "hopper", folder / "data", "--out", tmp_path / "x", "--beta", 0.1)
     assert status == 1
     assert "--beta is no setting of the method trajectory" in err
+    status, _, err = run(
+        "fit", "hopper", folder / "data", "--out", tmp_path / "x", "--method", "softmax", "--clip", 0.1
+    )
+    assert status == 1
+    assert "--clip is no setting of the method softmax" in err

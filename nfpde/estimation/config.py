@@ -32,7 +32,7 @@ class NfpdeConfig:
     scale: Literal["increment", "unit"] = setting(
         "increment", "errors counted in root-mean-square changes of each channel, or in the model's units (Eq. 9)"
     )
-    clip: float = setting(0.5, "clipping range of the probability ratio, as in PPO; 0: the plain ratio of Eq. 8", 0.0)
+    clip: float = setting(0.5, "of CAI: clipping range of the probability ratio, as in PPO; 0: the plain ratio", 0.0)
     gradient_steps: int = setting(20, "Adam steps on the samples of an iteration", 1)
     learning_rate: float = setting(1e-3, "of Adam, at the start; it falls linearly to a tenth", 0.0)
     flow: Literal["auto", "realnvp", "nsf", "maf"] = setting("auto", "kind of normalizing flow (auto: Real NVP)")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from nfpde.checkpoint import flatten_state, restore_state
 from nfpde.errors import BadInput, SimulationDiverged
-from nfpde.estimation.ascent import ascend
+from nfpde.estimation.ascent import ascend, responsibility, surrogate
 from nfpde.estimation.candidates import cai, next_beta, softmax, sound, typical_effective
 from nfpde.estimation.config import NfpdeConfig
 from nfpde.flow import Flow, build_flow
@@ -146,14 +146,21 @@ class NfpdeTrainer:
                 "beta": self.beta,
                 "effective": typical_effective(values),
             }
-            weight = values.mean(1)
+            weight = values.mean(1).cpu()
         else:
             values = cai(losses)
             figures = {"loss": -float(values.mean())}
-            weight = values.mean(1) / len(values)
+            weight = (values.mean(1) / len(values)).cpu()
+            weight = weight - weight.mean()
+
+        def gain(log_ratio: Tensor) -> Tensor:
+            if self.candidate == "softmax":
+                return responsibility(log_ratio, weight)
+            return surrogate(torch.exp(log_ratio), weight, c.clip)
+
         for group in self.optimizer.param_groups:
             group["lr"] = c.learning_rate * (1 - 0.9 * min(1.0, self.iteration / c.iterations))
-        if not ascend(self.flow, self.optimizer, z, weight.cpu(), c.clip, c.gradient_steps):
+        if not ascend(self.flow, self.optimizer, z, gain, c.gradient_steps):
             raise BadInput(
                 f"the flow's weights are no longer finite after iteration {self.iteration + 1}: the learning rate "
                 f"{c.learning_rate:g} is too high; lower learning_rate"
