@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.special import logsumexp
 
 import nfpde
 from nfpde.dataset import Dataset, Episode
@@ -46,7 +45,7 @@ def test_the_prior_that_informs_is_a_density_with_a_share_of_the_box():
 def test_scores_with_bounds_are_the_evidence_of_that_prior():
     """Log of the mean likelihood under the mixture, above that under the box."""
     scores = np.array([-400.0, -1.0, 0.0, 3.0, 10.0])
-    expected = np.array([float(logsumexp([s + np.log(5 / 6), np.log(1 / 6)])) for s in scores])
+    expected = np.log(5 / 6 * np.exp(scores) + 1 / 6)
     np.testing.assert_allclose(scores_with_bounds(scores), expected, rtol=1e-12, atol=1e-15)
 
 
