@@ -391,11 +391,8 @@ def test_fit_by_trajectory_is_the_default(folder, tmp_path):
     assert all(row["words"] in out for row in result.info["tells"]["parameters"].values())
     assert all(name in out for name in ("report.html", "report.png"))
     assert (tmp_path / "report.html").is_file()
-    status, _, err = run("fit", "hopper", folder / "data", "--out", tmp_path / "x", "--beta", 0.1)
-    assert status == 1
-    assert "--beta is no setting of the method trajectory" in err
-    status, _, err = run(
-        "fit", "hopper", folder / "data", "--out", tmp_path / "x", "--method", "softmax", "--clip", 0.1
-    )
-    assert status == 1
-    assert "--clip is no setting of the method softmax" in err
+    for idle, method in (("beta", "trajectory"), ("clip", "softmax")):
+        where = ("fit", "hopper", folder / "data", "--out", tmp_path / "x", "--method", method)
+        status, _, err = run(*where, f"--{idle}", 0.1)
+        assert status == 1
+        assert f"--{idle} is no setting of the method {method}" in err
