@@ -218,12 +218,15 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
     for name in ("flow/model.py", "flow/__init__.py", "losses.py", "ot.py"):
         write(name, "0")
     lazily = "def f():\n    from nfpde.losses import g, h\n"
-    seen = [write("gap/search.py", "1"), write("gap/search.py", lazily), write("bench/gap/faults/wind.py", "1")]
-    seen += [write("bench/gap/models/sled.xml", "a"), write("kernels/new.py", ""), write("losses.py", "1")]
+    seen = [write("gap/diagnose.py", "1"), write("gap/diagnose.py", "from nfpde.gap.search import f")]
+    seen += [write("gap/search.py", lazily), write("bench/gap/faults/wind.py", "1")]
+    seen += [write("bench/gap/models/sled.xml", "a"), write("losses.py", "1")]
     seen += [write("losses.py", "from nfpde.flow import model\nimport nfpde.ot"), write("flow/model.py", "1")]
-    seen += [write("ot.py", "1")]
-    assert len({*seen}) == 9
+    seen += [write("ot.py", "from nfpde.sim import cpu, warp"), write("sim/warp.py", "from nfpde.kernels import new")]
+    seen += [write("kernels/new.py", "")]
+    assert len({*seen}) == len(seen) == 11
     for name in (
+        "gap/html_report.py",
         "bench/gap/table.py",
         "bench/ot.py",
         "cli/bench.py",
@@ -234,8 +237,8 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
         assert write(name, "1") == seen[-1]
     # a row that plain MuJoCo measured is none of Warp's
     before = write("sim/cpu.py", "1", "cpu")
-    assert write("kernels/new.py", "2", "cpu") == write("sim/warp_batch.py", "1", "cpu") == before
-    assert write("sim/cpu.py", "from nfpde.sim import warp_batch", "cpu") != before
+    assert write("kernels/new.py", "2", "cpu") == write("sim/warp.py", "1", "cpu") == before
+    assert write("sim/cpu.py", "from nfpde.sim import warp", "cpu") != before
 
 
 def test_the_fingerprint_has_the_diagnosis_and_not_the_fit():

@@ -57,6 +57,15 @@ def test_the_deepest_of_three_pits_is_found(pits, found):
     np.testing.assert_array_equal(there.xi, [0.7, found])
 
 
+@pytest.mark.parametrize(("end", "other"), [(0.0, 1.0), (1.0, 0.0)])
+def test_a_fit_that_ended_at_an_end_is_tried_from_the_other_alone(end, other):
+    court: Any = Pits(at_0=4.0, at_1=4.0)
+    replay = SimpleNamespace(parameters=(MASS, SHARE))
+    there = at_ends(court, fit(replay, np.array([0.7, end]), 4.0))
+    assert court.started == [other]
+    np.testing.assert_array_equal(there.xi, [0.7, end])
+
+
 def test_nothing_is_fitted_where_no_inertia_may_follow():
     """A mass alone has no ends that are likelier than what lies between."""
     court: Any = Pits(at_1=0.0)

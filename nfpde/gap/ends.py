@@ -22,6 +22,8 @@ def at_ends(court: Court, fit: Fit) -> Fit:
         if not follows(parameter):
             continue
         for end in (parameter.low, parameter.high):
+            if fit.xi[index] == end:  # and went on from there already
+                continue
             xi = fit.xi.copy()
             xi[index] = end
             there = court.fitter.start(fit.replay, xi[None], fit.scatter)

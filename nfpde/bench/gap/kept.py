@@ -13,8 +13,8 @@ from nfpde.bench import code
 from nfpde.bench.gap.score import Row
 from nfpde.errors import BadInput
 
-DECIDES = ("bench/gap", "dataset", "effects", "gap", "kernels", "sim")
-"""Folders of what draws the systems, answers, and judges; files elsewhere count if one of these imports them."""
+DECIDES = ("bench/gap", "gap/diagnose.py")
+"""What draws the systems and judges, and what answers; files elsewhere count if one of these imports them."""
 
 SHOWS = ("__init__.py", "curve.py", "kept.py", "run.py", "summary.py", "table.py", "workers.py")
 """Here: what shows answers, or has them made."""
