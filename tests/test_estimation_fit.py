@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from nfpde.losses import increment_scale
 from nfpde.ot import emd
 from nfpde.parameters import Parameter, ParameterSpace
 from nfpde.sim import CallableSimulator
+from nfpde.storage import alone_in
 
 fit = functools.partial(nfpde.fit, method="softmax")
 
@@ -223,6 +225,18 @@ def test_a_finished_run_is_read_back(tmp_path, uninterrupted):
     again = fit(simulator(Counted(2, interrupt)), DATA, config=TINY, seed=2, out=tmp_path, quiet=True)
     assert numbers(again) == numbers(first) == numbers(uninterrupted)
     assert (tmp_path / "fit.json").read_bytes() == written
+
+
+@pytest.mark.parametrize("method", ["softmax", "trajectory"])
+def test_two_fits_into_one_folder_at_a_time_are_refused(tmp_path, method):
+    """The second stops before it simulates anything; the first is left alone, and its folder is free afterwards."""
+    with alone_in(tmp_path, "fitting"):
+        text = f"^fitting in {re.escape(str(tmp_path))}: another process is at work there"
+        with pytest.raises(BadInput, match=text):
+            fit(simulator(Counted(1, interrupt)), DATA, method=method, out=tmp_path, quiet=True)
+        assert [p.name for p in tmp_path.iterdir()] == [".lock"]
+    fit(simulator(), DATA, config=replace(TINY, iterations=1), out=tmp_path, quiet=True)
+    assert not (tmp_path / ".lock").exists()
 
 
 def test_another_run_is_refused(tmp_path):

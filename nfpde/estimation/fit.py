@@ -21,6 +21,7 @@ from nfpde.estimation.trajectory.fit import fit_trajectory
 from nfpde.flow import build_flow
 from nfpde.losses import increment_scale
 from nfpde.sim import OnDevice, Simulator
+from nfpde.storage import alone_in
 
 Method = Literal["softmax", "cai", "trajectory"]
 
@@ -58,7 +59,8 @@ def fit(
         quiet: no progress on the error stream.
 
     Raises:
-        BadInput: settings, windows without what the simulator needs, or several models with `trajectory`.
+        BadInput: settings, windows without what the simulator needs, several models with `trajectory`, or another fit
+            at work in `out`.
         BadDataset: recordings that do not fit into the memory with `trajectory`, or are too short, or too few to tell
             their noise from the parameters.
         CheckpointMismatch: `out` belongs to another run, or to another simulator by what it does.
@@ -90,19 +92,33 @@ def fit(
         "simulator": simulator.identity(),
         "dataset": dataset.content_hash(),
     }
-    folder = None if out is None else Path(out)
-    if isinstance(settings, TrajectoryConfig):
-        problem = make_problem(simulator, dataset, settings.horizon, resolution)
-        problem.check_memory()
-        run["computed"] = [c for c, yes in zip(simulator.states.channels, problem.computed, strict=True) if yes]
-        if resolution is not None:
-            run["resolution"] = np.asarray(resolution).tolist()
-        result = fit_trajectory(problem, dataset, settings, seed, run, folder, quiet)
-    else:
-        result = _fit_transitions(simulator, dataset, settings, seed, run, folder, quiet)
-    if folder is not None:
+    if resolution is not None:
+        run["resolution"] = np.asarray(resolution).tolist()
+    if out is None:
+        return _fitted(simulator, dataset, settings, resolution, seed, run, None, quiet)
+    folder = Path(out)
+    with alone_in(folder, "fitting"):
+        result = _fitted(simulator, dataset, settings, resolution, seed, run, folder, quiet)
         result.save(folder)
     return result
+
+
+def _fitted(
+    simulator: Simulator,
+    dataset: Dataset,
+    settings: NfpdeConfig | TrajectoryConfig,
+    resolution: ArrayLike | None,
+    seed: int,
+    run: dict[str, Any],
+    out: Path | None,
+    quiet: bool,
+) -> FitResult:
+    if not isinstance(settings, TrajectoryConfig):
+        return _fit_transitions(simulator, dataset, settings, seed, run, out, quiet)
+    problem = make_problem(simulator, dataset, settings.horizon, resolution)
+    problem.check_memory()
+    run["computed"] = [c for c, yes in zip(simulator.states.channels, problem.computed, strict=True) if yes]
+    return fit_trajectory(problem, dataset, settings, seed, run, out, quiet)
 
 
 def _fit_transitions(
