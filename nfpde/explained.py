@@ -61,8 +61,6 @@ def _effect_of(report: GapReport, cause: Cause) -> Effect:
 
 def _masses_told(report: GapReport, space: ParameterSpace) -> list[Parameter]:
     """The free parameters, of masses with what was found of their inertia."""
-    scaling = [p for p in space if p.field == "body_mass" and p.scale_inertia]
-    asked = [e.parameters[0].name for e in inertia_of(report.model, space)]
-    told = dict(zip(scaling, (report.base.get(name) for name in asked), strict=True))
+    told = {p: report.base.get(e.parameters[0].name) for p, e in inertia_of(report.model, space).items()}
     alone = {p for p, share in told.items() if share is not None and stays(share.low, share.high)}
     return [replace(p, scale_inertia=False) if p in alone else p for p in space]

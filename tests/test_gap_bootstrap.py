@@ -130,17 +130,22 @@ class Touching(Selection):
 
 
 @pytest.mark.parametrize(
-    ("gap", "given", "named"),
+    ("gap", "given", "settled", "named"),
     [
-        (1.4, 0.0, True),
-        (1.4, 0.9 / NOISE_TIMES, True),
-        (1.4, 1.1 / NOISE_TIMES, False),
-        (9.0, 1.0, False),
-        (11, None, True),
+        (1.4, 0.0, None, True),
+        (1.4, 0.9 / NOISE_TIMES, None, True),
+        (1.4, 1.1 / NOISE_TIMES, None, False),
+        (9.0, 1.0, None, False),
+        (11, None, None, True),
+        (1.4, None, "ground_height", True),
+        (1.4, 1.1 / NOISE_TIMES, "contact_softness", False),
     ],
 )
-def test_near_the_floor_a_candidate_must_gain_more_than_noise_gives_it(gap, given, named):
-    """It gains one nat a window in all of them; a gap beyond ten floors is no noise, and nobody asks."""
+def test_near_the_floor_a_candidate_must_gain_more_than_noise_gives_it(gap, given, settled, named):
+    """It gains one nat a window in all of them; a gap beyond ten floors is no noise, and nobody asks.
+
+    Nor is asked about one that stays anyway, where nothing but the others' worth is the question.
+    """
     noise = np.random.default_rng(2).choice([-1.0, 1.0], size=(40, 2, 4))
     block = np.arange(40) // 4
     court = Court(block, ANYTHING, ANYTHING, np.zeros((2, 4)), np.zeros(0), ANYTHING)
@@ -154,9 +159,11 @@ def test_near_the_floor_a_candidate_must_gain_more_than_noise_gives_it(gap, give
         return Trial(what, fit, density, size * noise, density)
 
     base = trial(None, np.zeros(40), np.sqrt(gap))
-    better = trial(effect("ground_height", height=(-0.1, 0.1)), np.ones(40) + 1e-3 * np.arange(40) / 40, 1.0)
+    floor = effect("ground_height", height=(-0.1, 0.1))
+    better = trial(floor, np.ones(40) + 1e-3 * np.arange(40) / 40, 1.0)
     assert chosen.gap_of(base) == pytest.approx(gap)
-    assert (chosen.accept(base, [better], gap) is not None) is named
+    stays = None if settled is None else (settled, floor.place)
+    assert (chosen.accept(base, [better], gap, settled=stays) is not None) is named
 
 
 def test_what_lies_below_the_floors_own_error_is_asked_about_at_first():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nfpde.effects import effect
-from nfpde.gap.accepted import Accepted
+from nfpde.gap.accepted import Accepted, key
 from nfpde.gap.fit import Fitter
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.noise import learn_scatter
@@ -107,6 +107,7 @@ class Again(Selection):
     """A selection that notes which effects it refits, and accepts none."""
 
     refits: list[Any]
+    stays: Any = None
 
     def without(self, trial, index):
         return trial
@@ -115,8 +116,8 @@ class Again(Selection):
         self.refits = [t.effect for t in trials]
         return []
 
-    def accept(self, current, trials, first_gap, level=0.0):
-        return None
+    def accept(self, current, trials, first_gap, level=0.0, settled=None):
+        self.stays = settled
 
 
 def test_what_left_nearly_as_little_on_shorter_windows_is_tried_again():
@@ -130,6 +131,7 @@ def test_what_left_nearly_as_little_on_shorter_windows_is_tried_again():
     selection = Again(ANYTHING, None, 1, ANYTHING, [], yardstick=MEASURED)
     assert selection._told_apart(other, [asked, beside], 0, 1.0) == (other, [asked, beside])
     assert selection.refits == [all_four[0], all_four[1], all_four[2]]
+    assert selection.stays == key(all_four[0])
 
 
 class Asking(Selection):
@@ -254,7 +256,7 @@ class Deeper(Stuck):
     def gap_of(self, trial) -> Any:
         return self.gaps[trial]
 
-    def accept(self, current, trials, first_gap, level=0.0) -> Any:
+    def accept(self, current, trials, first_gap, level=0.0, settled=None) -> Any:
         return self.accepts
 
 

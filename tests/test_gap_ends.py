@@ -8,6 +8,7 @@ import pytest
 
 from nfpde.gap.ends import at_ends
 from nfpde.gap.inertia import NAME
+from nfpde.gap.trial import LEAST_GAIN
 
 MASS, SHARE = SimpleNamespace(field="body_mass", low=0.5, high=2.0), SimpleNamespace(field=NAME, low=0.0, high=1.0)
 
@@ -16,16 +17,18 @@ class Pits:
     """A court whose fits roll into the nearest of some pits of the last parameter, the mass being what it is.
 
     pits: places and their costs
+    apart: what the place from which a fit starts costs more than the bottom of the deepest
     """
 
-    def __init__(self, **pits: float) -> None:
+    def __init__(self, apart: float = 100.0, **pits: float) -> None:
+        self.apart = apart
         self.pits = {float(place.strip("at_").replace("_", ".")): cost for place, cost in pits.items()}
         self.started: list[float] = []
         self.fitter: Any = SimpleNamespace(start=self.start, rescale=lambda fit, scatter: fit)
 
     def start(self, replay, xi, scatter):
         self.started.append(float(xi[0, -1]))
-        return fit(replay, xi[0], 0.0)
+        return fit(replay, xi[0], min(self.pits.values()) + self.apart)
 
     def scatter(self, fit):
         return None
@@ -54,6 +57,15 @@ def test_the_deepest_of_three_pits_is_found(pits, found):
     replay = SimpleNamespace(parameters=(MASS, SHARE))
     there = at_ends(court, fit(replay, np.array([0.7, 0.6]), 5.0))
     assert court.started == [0.0, 1.0]
+    np.testing.assert_array_equal(there.xi, [0.7, found])
+
+
+@pytest.mark.parametrize(("apart", "found"), [(-1.0, 1.0), (0.9 * LEAST_GAIN, 0.6), (1.1 * LEAST_GAIN, 1.0)])
+def test_an_end_that_the_recordings_do_not_tell_from_the_fit_is_not_fitted(apart, found):
+    """A body that never turns costs the same with any inertia; one that is better off there goes on from there."""
+    court: Any = Pits(apart, at_0=9.0, at_0_6=5.0, at_1=5.0 - 1e-9)
+    replay = SimpleNamespace(parameters=(MASS, SHARE))
+    there = at_ends(court, fit(replay, np.array([0.7, 0.6]), 5.0))
     np.testing.assert_array_equal(there.xi, [0.7, found])
 
 

@@ -1,5 +1,6 @@
 """Masses that are free beside inertias that follow them, or do not: nobody has to know which."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -37,7 +38,7 @@ def test_its_ends_are_the_two_ways_to_write_a_mass(share, mass):
 def test_it_stands_beside_free_masses_that_take_their_inertia_along_only():
     damping = Parameter("dof_damping", "elbow", low=0.0, high=1.0)
     for space in (None, ParameterSpace([damping]), ParameterSpace([ALONE])):
-        assert inertia_of(nominal(), space) == []
+        assert inertia_of(nominal(), space) == {}
         assert Replay(nominal(), space, []).nbase == (0 if space is None else 1)
     both = ParameterSpace([damping, MASS, Parameter("body_mass", "upper", low=0.5, high=2.0, relative=True)])
     replay = Replay(nominal(), both, [effect("armature", "elbow", inertia=(0, 1))])
@@ -45,6 +46,24 @@ def test_it_stands_beside_free_masses_that_take_their_inertia_along_only():
     shares = [f"{NAME}:fore", f"{NAME}:upper"]
     assert [p.name for p in replay.parameters] == [*both.names, *shares, "armature.inertia:elbow"]
     np.testing.assert_array_equal(replay.sim.nominal()[3:5], 1.0)
+
+
+def test_nobody_is_asked_about_the_inertia_of_what_never_turns():
+    """A carriage on rails has none that matters; what hangs from it, or flies, has. So has a mass of both together."""
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><worldbody>
+        <body name="cart"><joint type="slide"/><geom size=".1"/>
+          <body name="lift"><joint type="slide" axis="0 0 1"/><geom size=".1"/>
+            <body name="arm"><joint/><geom size=".1"/><body name="hand"><geom size=".1"/></body></body></body></body>
+        <body name="ball"><joint type="ball"/><geom size=".1"/></body>
+        <body name="drone"><freejoint/><geom size=".1"/></body>
+      </worldbody></mujoco>""")
+    every = [Parameter("body_mass", model.body(b).name, low=1, high=9) for b in range(1, model.nbody)]
+    asked = inertia_of(model, ParameterSpace(every))
+    assert [p.target for p in asked] == ["arm", "hand", "ball", "drone"]
+    assert [e.parameters[0].name for e in asked.values()] == [f"{NAME}:{p.target}" for p in asked]
+    together = ParameterSpace([Parameter("body_mass", ("cart", "arm"), low=0.5, high=2, relative=True)])
+    assert [e.parameters[0].name for e in inertia_of(model, together).values()] == [f"{NAME}:cart+arm"]
 
 
 def test_what_weighs_nothing_is_refused_as_before():

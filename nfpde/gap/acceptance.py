@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.accepted import Accepted, simplest_first
+from nfpde.gap.accepted import Accepted, key, simplest_first
 from nfpde.gap.bootstrap import NoiseAlone
 from nfpde.gap.far import Far
 from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, near_floor, shrink_interval
@@ -71,7 +71,14 @@ class Acceptance(Rounds):
     below: bool = False
     level: float = LEVEL
 
-    def accept(self, current: Trial, trials: Sequence[Trial], first_gap: float, level: float = LEVEL) -> Chosen | None:
+    def accept(
+        self,
+        current: Trial,
+        trials: Sequence[Trial],
+        first_gap: float,
+        level: float = LEVEL,
+        settled: tuple[str, str] | None = None,
+    ) -> Chosen | None:
         """The candidate that the held-out recordings ask for, if they ask for one.
 
         Args:
@@ -79,6 +86,8 @@ class Acceptance(Rounds):
             trials: The candidates, refitted.
             first_gap: Of the parameters alone.
             level: Probability of accepting one where there is nothing; of one that was accepted before, the whole.
+            settled: Key of one that stays if none of the others takes its place: whether it is more than noise is not
+                asked again.
         """
         gap = self.gap_of(current)
         near_noise = self.sigma is not None and gap * (1 - CLOSED) < self.floor(current)
@@ -91,7 +100,7 @@ class Acceptance(Rounds):
         doubted = self.sigma if near_noise else None
 
         def stands(trial: Trial) -> bool:
-            if doubted is None:
+            if doubted is None or (trial.effect is not None and key(trial.effect) == settled):
                 return True
             return not self.given_by_noise(trial, current, doubted, gains[trial] / NOISE_TIMES)
 

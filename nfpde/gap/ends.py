@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from nfpde.gap.fit import Fit
 from nfpde.gap.inertia import follows
-from nfpde.gap.trial import Court
+from nfpde.gap.trial import LEAST_GAIN, Court
 
 
 def at_ends(court: Court, fit: Fit) -> Fit:
@@ -27,5 +27,7 @@ def at_ends(court: Court, fit: Fit) -> Fit:
             xi = fit.xi.copy()
             xi[index] = end
             there = court.fitter.start(fit.replay, xi[None], fit.scatter)
+            if 0 <= there.cost - fit.cost < LEAST_GAIN:  # recordings in which it hardly turns say nothing of it
+                continue
             fit = min(fit, court.converged(court.fitter.rescale(there, court.scatter(there))), key=lambda f: f.cost)
     return fit

@@ -52,11 +52,26 @@ class Inertia(Effect):
         model.body_inertia[self.ids] = self.inertia * follows[:, None]
 
 
-def inertia_of(model: mujoco.MjModel, space: ParameterSpace | None) -> list[Effect]:
-    """The effect on the bodies of every free mass that scales their inertias, one for each mass."""
+def inertia_of(model: mujoco.MjModel, space: ParameterSpace | None) -> dict[Parameter, Effect]:
+    """The effect on the bodies of every free mass that scales their inertias, but of bodies that never turn."""
     masses = [p for p in space or () if p.field == "body_mass" and p.scale_inertia]
-    names = element_names(model, "body")
-    return [Inertia(tuple(names[b] for b in np.atleast_1d(slot.index[0]))) for slot in slots_of(model, masses)]
+    names, found = element_names(model, "body"), dict[Parameter, Effect]()
+    for mass, slot in zip(masses, slots_of(model, masses), strict=True):
+        bodies = [int(b) for b in np.atleast_1d(slot.index[0])]
+        if any(turns(model, body) for body in bodies):
+            found[mass] = Inertia(tuple(names[body] for body in bodies))
+    return found
+
+
+def turns(model: mujoco.MjModel, body: int) -> bool:
+    """Whether any joint that carries a body lets it turn."""
+    while body:
+        first = model.body_jntadr[body]
+        kinds = model.jnt_type[first : first + model.body_jntnum[body]]
+        if (kinds != mujoco.mjtJoint.mjJNT_SLIDE).any():
+            return True
+        body = model.body_parentid[body]
+    return False
 
 
 def is_told(high: float) -> bool:

@@ -53,8 +53,8 @@ class Replay:
 
     Args:
         model: The nominal model.
-        space: The free parameters; None: there are none. For each mass among them one more is free: how far its
-            bodies' inertias follow (`Inertia`).
+        space: The free parameters; None: there are none. For each mass among them whose bodies turn one more is free:
+            how far their inertias follow (`Inertia`).
         effects: The effects.
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
@@ -78,7 +78,7 @@ class Replay:
     ) -> None:
         self.effects = tuple(effects)
         self._recall = Recall() if recall is None else recall
-        self.space, beside = space, inertia_of(model, space)
+        self.space, beside = space, list(inertia_of(model, space).values())
         acting = [*beside, *effects, residual_force(model)]
         self.sim = make_simulator(model, space, acting, device=device, check_influence=False)
         if isinstance(self.sim, MujocoSimulator) and nthread:

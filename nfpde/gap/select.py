@@ -172,7 +172,8 @@ class Selection(Acceptance):
         if not rivals:
             return current, accepted
         smaller = self.without(current, index)
-        found = self.accept(smaller, self.again(smaller, [asked.trial, *rivals]), first_gap)
+        refitted = self.again(smaller, [asked.trial, *rivals])
+        found = self.accept(smaller, refitted, first_gap, settled=key(asked.effect))
         if found is None:
             return current, accepted
         current, new = found
