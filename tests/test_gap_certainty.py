@@ -93,6 +93,39 @@ def test_what_nothing_tells_is_known_as_well_as_the_prior(slope):
     assert errors[0] < 0.02
 
 
+class Tilted(Replay):
+    """A slope that is read as it is, and one across it, of which only what its cosine takes from gravity is seen.
+
+    At none at all the second has no slope itself.
+    """
+
+    effects, nfree = (), 2
+
+    def __init__(self, readings):
+        self.readings = readings
+        self.low, self.high = np.full(2, -0.5), np.full(2, 0.5)
+
+    def residuals(self, xi, windows, horizons, force=None):
+        half: Any = windows
+        shown = np.stack([xi[:, 0] + 0.0 * xi[:, 1], np.cos(xi[:, 1])], axis=-1)
+        return shown[:, None, None] - self.readings[half]
+
+
+def test_what_only_becomes_steeper_says_nothing_of_jumps():
+    """The slope is known as well as it is read many times; the one across no better than the cosine tells."""
+    rng = np.random.default_rng(0)
+    noise, floor = 1e-4, np.full((1, 2), 1e-9)
+    readings = [[0.03, 1.0] + noise * rng.normal(size=(WINDOWS, 1, 2)) for _ in range(2)]
+    scatter = learn_scatter(noise * rng.normal(size=(4000, 1, 2)), 0, floor)
+    halves: Any = (0, 1)
+    fitter, held = (Fitter(half, (1,)) for half in halves)
+    replay: Any = Tilted(readings)
+    fit = fitter.improve(fitter.start(replay, np.array([[0.02, 0.0]]), scatter), 10)
+    errors = standard_errors(Court(ANYTHING, fitter, held, floor, fit.xi, ANYTHING), fitter.linearise(fit))
+    assert errors[0] == pytest.approx(noise / WINDOWS**0.5, rel=0.4)  # of so few readings, a jackknife
+    assert noise**0.5 / WINDOWS**0.25 < errors[1]
+
+
 class Steep(Replay):
     """Residuals of a threshold: they change within a thousandth of the bounds, and nowhere else."""
 

@@ -34,11 +34,11 @@ def standard_errors(court: Court, fit: Fit) -> Array:
 
     Along the axes of the ellipsoid that slopes foretell, the cost of the held-out windows is taken at distances s that
     double, in its standard errors, at most to where the prior ends. A smooth cost rises by s^2 / 2 in the mean of both
-    sides. By how much a rise misses a quarter of that at 2 s is the roughness R [nats]: the largest miss of that axis
-    so far, or the root mean square at one distance of all axes of which no rise is sure there, whichever is larger. The
-    least cost lies wherever the rise is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the
-    error of an axis is where that has fallen by half a nat for good. Nothing is known better than slopes foretell, nor
-    worse than the prior.
+    sides. By how much a rise misses a quarter of that at 2 s is the roughness R [nats], unless it is as much as foretold
+    there and from there on, and only becomes steeper: the largest miss of that axis so far, or the root mean square at
+    one distance of all axes of which no rise is sure there, whichever is larger. The least cost lies wherever the rise
+    is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the error of an axis is where that has
+    fallen by half a nat for good. Nothing is known better than slopes foretell, nor worse than the prior.
 
     Args:
         court: Of the windows that it was fitted to, and of those held out.
@@ -87,7 +87,9 @@ def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray
     count, every = len(rises) - 1, np.arange(rises.shape[1])
     seen = np.isfinite(rises)
     apart = np.subtract(rises[:-1], rises[1:] / 4, out=np.zeros((count, len(every))), where=seen[1:])
-    misses = np.where(scales[:count, None] < widest, np.abs(apart), 0.0)
+    # what rises faster and faster, and all the way at least as foretold, is no jump: cosines, and products at zero
+    steep = np.logical_and.accumulate((rises >= 0.5 * scales[: count + 1, None] ** 2)[::-1])[::-1][:-1]
+    misses = np.where((scales[:count, None] < widest) & ~(steep & (apart < 0)), np.abs(apart), 0.0)
     # the least rise from each distance on: one that is taken back farther out was a jump
     lasting = np.minimum.accumulate(rises[::-1])[::-1][:-1]
     alone = np.maximum.accumulate(misses)

@@ -43,6 +43,12 @@ _KEPT_WORD = 0.5
 _TURNS, _AGREE = 4, 2.0
 """Turns in which steps follow the errors that they tell, at most, and the change of all steps that ends them."""
 
+_BENT = 5.0
+"""Nats that the boldest step must have promised beyond what any gained, for a look along the bend of its valley."""
+
+_BACK = 1e-4
+"""Share of the damping that counts there: straight across, as what pulls along the valley takes the step back."""
+
 _LAST = 1e-2
 """Nats below which a step is not worth taking."""
 
@@ -245,11 +251,15 @@ class Fitter:
                     break
                 renew = 0
                 continue
-            residuals = self._residuals(fit.replay, np.array(trials))
+            residuals = [*self._residuals(fit.replay, np.array(trials))]
             costs = [self._cost(t, r, fit.scatter) for t, r in zip(trials, residuals, strict=True)]
+            if fit.cost - min(costs) < _foretold(fit, trials[0] - u, gradient) - _BENT:
+                bent = self._along_the_bend(fit, u, trials[0], residuals[0], damping * _BACK)
+                trials, residuals = [*trials, bent], [*residuals, *self._residuals(fit.replay, bent[None])]
+                costs.append(self._cost(bent, residuals[-1], fit.scatter))
             best = int(np.argmin(costs))
             gain, move = fit.cost - costs[best], trials[best] - u
-            if gain <= 0:
+            if gain <= 0 or not move.any():
                 if fit.fresh > 0:
                     renew = 0
                     continue
@@ -258,11 +268,11 @@ class Fitter:
                     break
                 continue
             steps += 1
-            foretold = float(-gradient @ move - 0.5 * move @ fit.information @ move)
+            foretold = _foretold(fit, move, gradient)
             slopes = _carried(fit, move, residuals[best] - fit.residuals)
             xi = fit.replay.outward(trials[best])
             fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
-            damping = max(damping * _DAMPINGS[best] * 0.3, 1e-9)
+            damping = max(damping * _DAMPINGS[best % 2] * 0.3, 1e-9)
             renew = d if gain >= _KEPT_WORD * foretold else kept
             if gain < _LAST and settled:
                 break
@@ -315,16 +325,25 @@ class Fitter:
         held = ((u <= 0) & (gradient > 0)) | ((u >= 1) & (gradient < 0))
         step = np.zeros(len(u))
         while not held.all():
-            free = np.flatnonzero(~held)
-            matrix = fit.information[np.ix_(free, free)]
-            matrix = matrix + damping * np.diag(np.diag(matrix))
-            step[:] = 0.0
-            step[free] = -np.linalg.solve(matrix, gradient[free])
+            step = _damped_step(fit.information, gradient, ~held, damping)
             beyond = (u + step < 0) & (u <= 0) | (u + step > 1) & (u >= 1)
             if not (beyond & ~held).any():
                 break
             held |= beyond
         return np.clip(u + step, 0.0, 1.0)
+
+    def _along_the_bend(self, fit: Fit, u: Array, trial: Array, there: Array, damping: float) -> Array:
+        """A trial (D,) moved to where slopes foretell that its residuals (N, nv, C) are what they were foretold to be.
+
+        Two parameters that do the same together make a valley, which bends: a long step along a straight line ends on
+        its side (Transtrum and Sethna, arXiv:1201.5885, with the trial as the second point of the bend).
+        """
+        missed = there - fit.residuals - np.tensordot(trial - u, fit.slopes, 1)
+        white = fit.scatter.turned(np.nan_to_num(missed, nan=0.0, posinf=0.0, neginf=0.0))
+        weighted = white * fit.scatter.weights(fit.scatter.whiten(fit.residuals))[..., None]
+        pulled = fit.scatter.turned(fit.slopes).reshape(len(u), -1) @ weighted.ravel()
+        step = _damped_step(fit.information, pulled, (trial > 0) & (trial < 1), damping)
+        return np.clip(trial + step, 0.0, 1.0)
 
     def _cost(self, u: Array, residuals: Array, scatter: Scatter) -> float:
         return float(-scatter.log_density(residuals).sum() + 0.5 * (((u - 0.5) / PRIOR) ** 2).sum())
@@ -337,6 +356,19 @@ class Fitter:
 def _widths(information: Array) -> Array:
     """Finite-difference steps (D,) in shares of the bounds, by the information (D, D) that is believed."""
     return np.clip(RESOLVED / np.sqrt(np.diag(information)), STEP, WIDEST)
+
+
+def _damped_step(information: Array, gradient: Array, free: NDArray[np.bool_], damping: float) -> Array:
+    """A step (D,) of some parameters against a gradient (D,), its diagonal damped (Marquardt, 1963)."""
+    step, some = np.zeros(len(gradient)), np.flatnonzero(free)
+    matrix = information[np.ix_(some, some)]
+    step[some] = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient[some])
+    return step
+
+
+def _foretold(fit: Fit, move: Array, gradient: Array) -> float:
+    """What slopes say that a move (D,) gains [nats]."""
+    return float(-gradient @ move - 0.5 * move @ fit.information @ move)
 
 
 def _carried(fit: Fit, move: Array, change: Array) -> Array:
