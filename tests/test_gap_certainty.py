@@ -99,7 +99,7 @@ class Tilted(Replay):
     At none at all the second has no slope itself.
     """
 
-    effects, nfree = (), 2
+    effects = ()
 
     def __init__(self, readings):
         self.readings = readings

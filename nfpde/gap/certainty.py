@@ -34,11 +34,11 @@ def standard_errors(court: Court, fit: Fit) -> Array:
 
     Along the axes of the ellipsoid that slopes foretell, the cost of the held-out windows is taken at distances s that
     double, in its standard errors, at most to where the prior ends. A smooth cost rises by s^2 / 2 in the mean of both
-    sides. By how much a rise misses a quarter of that at 2 s is the roughness R [nats], unless it is as much as foretold
-    there and from there on, and only becomes steeper: the largest miss of that axis so far, or the root mean square at
-    one distance of all axes of which no rise is sure there, whichever is larger. The least cost lies wherever the rise
-    is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the error of an axis is where that has
-    fallen by half a nat for good. Nothing is known better than slopes foretell, nor worse than the prior.
+    sides. By how much a rise misses a quarter of that at 2 s is the roughness R [nats], unless it is as much as
+    foretold there and from there on, and only becomes steeper: the largest miss of that axis so far, or the root mean
+    square at one distance of all axes of which no rise is sure there, whichever is larger. The least cost lies wherever
+    the rise is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the error of an axis is where
+    that has fallen by half a nat for good. Nothing is known better than slopes foretell, nor worse than the prior.
 
     Args:
         court: Of the windows that it was fitted to, and of those held out.
