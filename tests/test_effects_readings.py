@@ -142,6 +142,24 @@ def test_what_readings_cannot_act_on_is_refused():
             RandomizedParameters(Env(path), [[0.1]], ParameterSpace(play.parameters))
 
 
+def test_play_goes_through_all_commands_that_are_known():
+    """A command turned round three seconds ago and has crept since: where its aim is, no second of it tells."""
+    play = effect("backlash_command", "shoulder_servo", width=(0, 0.3))
+    sim = MujocoSimulator(load(SERVO_ARM), None, [play], nthread=1)
+    dt, rows = 0.02, 200
+    ctrl = np.zeros((rows, sim.model.nu))
+    ctrl[:, 0] = np.interp(np.arange(rows) * dt, [0, 0.5, rows * dt], [0.0, 0.4, 0.36])
+    still = np.zeros((rows, sim.model.nq))
+    recorded = Dataset([Episode("0", np.arange(rows) * dt, still, still, ctrl)])
+    known = round(3.5 / dt)
+    long, short = (recorded.windows(2, stride=1, history=h, at=np.array([180])) for h in (known, sim.history_steps(dt)))
+    half, aimed = 0.05, np.zeros_like(short.ctrl)
+    aimed[:, :, 0] = 0.4 - half  # since the turn it has not moved, as the command has not crossed the play
+    exact = sim.predict([[0.0]], with_arrays(short, ctrl=aimed))
+    np.testing.assert_allclose(sim.predict([[2 * half]], long), exact, rtol=1e-12, atol=1e-12)
+    assert np.abs(sim.predict([[2 * half]], short) - exact).max() > 1e-3
+
+
 def test_places_are_for_names_and_of_equal_readings_the_plain_one_is_named():
     """Three readings of one name at most, which take no place of another's; ties go by the name's best, then plain."""
     bounds = {"backlash": {"width": (0, 1)}, "armature": {"inertia": (0, 1)}, "coulomb_friction": {"torque": (0, 1)}}

@@ -11,7 +11,7 @@ from nfpde.gap.loud import Loudness
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
-from nfpde.gap.touching import STATES, free_dofs
+from nfpde.gap.touching import STATES, free_dofs, touches
 from nfpde.gap.trial import noise_of
 from tests.gap_systems import nominal, record
 
@@ -43,6 +43,25 @@ def test_what_touches_presses_on_all_joints_above_it_and_on_no_other():
     assert free_dofs(model, kneeling[None]).tolist() == [2]
     # one touch in all recordings is enough, and what was not recorded says nothing
     assert free_dofs(model, np.vstack([np.tile(above, (50, 1)), on, np.full(8, np.nan)])).tolist() == [2, 3]
+
+
+BALL = """
+<mujoco><worldbody>
+  <body name="lever" pos="0 0 .3"><joint name="pivot" axis="0 -1 0"/>
+    <geom type="capsule" fromto="0 0 0 .36 0 0" size=".012" mass=".35"/></body>
+  <body name="ball" pos=".3 0 .4"><joint name="fall" type="slide" axis="0 0 1"/>
+    <geom type="sphere" size=".03" mass=".12"/></body>
+</worldbody><actuator><position joint="pivot" kp="45" kv="1.5"/></actuator></mujoco>
+"""
+
+
+def test_what_touches_another_part_of_the_robot_touches():
+    """A ball on a lever: nothing meets the world, which alone has a friction and a softness to be wrong."""
+    model = mujoco.MjModel.from_xml_string(BALL)
+    above, on = np.zeros((2, 4))
+    on[1] = -0.06
+    assert not touches(model, above[None])
+    assert touches(model, np.vstack([np.tile(above, (50, 1)), on]))
 
 
 def test_long_recordings_are_looked_at_all_along():

@@ -26,8 +26,8 @@ class BacklashCommand(Effect):
     width of the command, and moves no more than that takes. `width` is that of the joint: of the command it is as many
     times as the nominal servo counts a radian or metre there. Commands are clamped to ctrlrange before.
 
-    Play forgets nothing, commands are known for a second: the aim begins at the first of them, which is wrong where
-    they had turned round just before and rest since. In an environment it would drift so; it is refused there.
+    Play forgets nothing, commands are known for a second or more: the aim begins at the first of them, which is wrong
+    where they had turned round just before and rest since. In an environment it would drift so; it is refused there.
     """
 
     name = "backlash_command"
@@ -40,6 +40,7 @@ class BacklashCommand(Effect):
     confounders = Backlash.confounders
 
     live = False
+    forgets = False
 
     drives: Drives
     gears: Array

@@ -114,6 +114,8 @@ class Effect:
     """What it is, for a roboticist."""
     live: ClassVar[bool] = True
     """Whether it can act in an environment, where what it remembers of commands begins anew every step."""
+    forgets: ClassVar[bool] = True
+    """Whether commands from before `memory_time` never matter; else all that are known are gone through."""
     says: ClassVar[str] = ""
     """The effect that this is another reading of, where engineers mean different things by one name; "" for none."""
     confounders: ClassVar[tuple[str, ...]] = ()

@@ -30,6 +30,7 @@ from nfpde.gap.search import Search
 from nfpde.gap.select import Selection
 from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.stage import Stage
+from nfpde.gap.touching import touches
 from nfpde.gap.trial import noise_of
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, load_model
@@ -108,7 +109,8 @@ def diagnose_gap(
         )
 
     windows = windows or windows_for(mjmodel.nv)
-    search = Search(start, dataset, candidates, guesses, windows, seed, select, report, computed.weights)
+    meets = touches(mjmodel, np.concatenate([np.hstack([e.qpos, e.qvel]) for e in dataset]))
+    search = Search(start, dataset, candidates, guesses, windows, seed, select, report, computed.weights, meets=meets)
     error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches)
     dataset = without_error(mjmodel, dataset, error)
     search = replace(search, dataset=dataset)

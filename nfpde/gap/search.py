@@ -51,6 +51,7 @@ class Search:
     computed: what velocities that nobody measured take of the positions, see `Differences.weights`
     most: single control steps of each half, at most, where contacts are
     before: what an earlier search leaves to this one
+    meets: whether anything touches anything in recorded states
     """
 
     start: Replay
@@ -64,11 +65,12 @@ class Search:
     computed: Array | None = None
     most: int = MOST
     before: Earlier | None = None
+    meets: bool = False
 
     @property
     def touches(self) -> bool:
-        """Whether the model can touch anything."""
-        return any(e.whole == "contact" for e, _ in self.candidates)
+        """Whether the model can touch the world, or touched itself."""
+        return self.meets or any(e.whole == "contact" for e, _ in self.candidates)
 
     def cut(self, lead: int | None = None, held: HeldOut | None = None) -> Recordings:
         """The recordings in the longest windows.

@@ -36,6 +36,11 @@ def free_dofs(model: mujoco.MjModel, states: Array) -> NDArray[np.intp]:
     return np.flatnonzero(~pressed)
 
 
+def touches(model: mujoco.MjModel, states: Array) -> bool:
+    """Whether anything touches anything in recorded states (n, nq + nv): the world, or another part of the robot."""
+    return len(free_dofs(model, states)) < model.nv
+
+
 def _above(model: mujoco.MjModel, body: int) -> list[int]:
     """Degrees of freedom that move a body."""
     while body and not model.body_dofnum[body]:

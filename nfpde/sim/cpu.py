@@ -80,6 +80,7 @@ class MujocoSimulator(Simulator):
         self.nthread = nthread or usable_cores()
         self._bound = BoundEffects(self.model, self.effects, self.writer.nbase)
         self.memory_time, self.recall_time = self._bound.memory_time, self._bound.recall_time
+        self.forgets = all(e.forgets for e in self.effects)
         self._batch: mujoco.batch.Batch | None = None
         if check_influence:
             refuse_inert(self, self.model)
@@ -157,7 +158,7 @@ class MujocoSimulator(Simulator):
         qpos, qvel, ctrl = (batch.bind(name)[:n] for name in ("qpos", "qvel", "ctrl"))
         before_step = effects.before_steps(batch, n)
         past = 0 if before_step is None else self.recalled_steps(windows, before_step.recall_time)
-        history = min(self.history_steps(windows.control_dt), windows.nhistory)
+        history = self.known_steps(windows)
         signal = effects.commands(windows, window, history, nsub, past)
         if past and before_step is not None:
             measured = windows.past[window, windows.past.shape[1] - past :]

@@ -49,6 +49,7 @@ class Simulator(ABC):
         states: the layout of a state and of the difference of two.
         memory_time: how far back [s] commands matter; windows must hold that much history.
         recall_time: how far back [s] effects follow the recorded motion, where windows hold it.
+        forgets: whether commands from before `memory_time` never matter; else all that windows hold are simulated.
         jumps: columns of parameters along which predictions jump, such as the choice of a model; a fit that follows
             slopes refuses them.
         simulated_steps: physics steps taken so far, the unit in which estimators are compared.
@@ -59,6 +60,7 @@ class Simulator(ABC):
     states: StateSpace
     memory_time: float = 0.0
     recall_time: float = 0.0
+    forgets: bool = True
     jumps: tuple[int, ...] = ()
     simulated_steps: int = 0
     rounding: float = float(np.finfo(np.float64).eps)
@@ -207,6 +209,10 @@ class Simulator(ABC):
     def history_steps(self, control_dt: float) -> int:
         """Commands before a window's start that its simulation makes use of, at a control step of control_dt [s]."""
         return steps_back(self.memory_time, control_dt) + self.past_steps(control_dt)
+
+    def known_steps(self, windows: Windows) -> int:
+        """Commands before the windows' starts that are simulated: those that matter, or all there are."""
+        return min(self.history_steps(windows.control_dt), windows.nhistory) if self.forgets else windows.nhistory
 
     def past_steps(self, control_dt: float) -> int:
         """States before a window's start that its simulation makes use of, at a control step of control_dt [s]."""

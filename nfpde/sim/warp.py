@@ -87,6 +87,7 @@ class WarpSimulator(Simulator):
         self.space, self.states = self.reference.space, self.reference.states
         self.rounding = float(np.finfo(np.float32).eps)
         self.memory_time, self.recall_time = self.reference.memory_time, self.reference.recall_time
+        self.forgets = self.reference.forgets
         self.jumps = self.reference.jumps
         self.nworld = nworld
         writer = self.reference.writer
@@ -323,7 +324,7 @@ class WarpSimulator(Simulator):
                 return None
 
     def _kind(self, windows: Windows, output: Output, *, all_pairs: bool = True) -> Sizes:
-        steps = min(self.history_steps(windows.control_dt), windows.nhistory), self.recalled_steps(windows)
+        steps = self.known_steps(windows), self.recalled_steps(windows)
         nsub = self.substeps(windows.control_dt)
         if self._buffers is None:
             self._buffers = buffer_sizes(self.model, windows)
