@@ -79,9 +79,12 @@ SERVOS = DOUBLE_PENDULUM.replace(
 )
 
 
-def equals_its_twin(sim):
-    """Predictions all over the bounds, and at their ends, are those of plain MuJoCo, and differ from each other."""
-    windows = make_windows(sim.model, 4, 5, nsub=4, history=sim.history_steps(4 * sim.model.opt.timestep))
+def equals_its_twin(sim, more=0):
+    """Predictions all over the bounds, and at their ends, are those of plain MuJoCo, and differ from each other.
+
+    Windows hold `more` commands than must be known.
+    """
+    windows = make_windows(sim.model, 4, 5, nsub=4, history=more + sim.history_steps(4 * sim.model.opt.timestep))
     xi = np.vstack([sim.space.uniform(4, np.random.default_rng(0)), sim.space.low, sim.space.high])
     expected = sim.reference.predict(xi, windows)
     assert np.ptp(expected, axis=0).max() > 100 * TOLERANCE
@@ -112,10 +115,11 @@ def test_kernel_equals_its_twin_with_servos(name):
     equals_its_twin(sim)
 
 
-def test_play_of_a_servos_command_equals_its_twin():
-    """It needs a position servo; its gear is 2."""
+@pytest.mark.parametrize("more", [0, 30])
+def test_play_of_a_servos_command_equals_its_twin(more):
+    """It needs a position servo; its gear is 2. Of more commands that are known, both go through all."""
     play = effect("backlash_command", "#0", width=(0.0, 0.3))
-    equals_its_twin(WarpSimulator(load(SERVOS), None, [play], device=WARP, check_influence=False))
+    equals_its_twin(WarpSimulator(load(SERVOS), None, [play], device=WARP, check_influence=False), more)
 
 
 def test_dead_zones_are_about_what_encoders_read():
