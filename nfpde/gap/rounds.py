@@ -63,7 +63,7 @@ class Rounds:
         screened = self._screen(base, open_ones, replay_with, SCREENED)
         self.report(f"refitting with effect {len(taken) + 1}")
         trials = self._refit(base, screened)
-        self.count(*replays)
+        self._end(replays)
         return trials
 
     def twins(self, current: Trial, found: Trial, trials: Sequence[Trial], taken: Sequence[Effect]) -> list[Trial]:
@@ -73,7 +73,7 @@ class Rounds:
         replay_with, replays = self._beside(base)
         twins = find_twins(self.court, base, found, self._open(taken, known), replay_with, touches=self._touches)
         more = self._refit(base, twins)
-        self.count(*replays)
+        self._end(replays)
         return more
 
     def again(self, smaller: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -87,7 +87,7 @@ class Rounds:
                 starts = ((base.scatter, values),)
                 hopeful.append(Screened(t.effect, replay, values, (1.0,), 1.0, starts))
         found = self._refit(base, hopeful)
-        self.count(*(s.replay for s in hopeful))
+        self._end([s.replay for s in hopeful])
         return found
 
     def _open(self, taken: Sequence[Effect], known: Collection[tuple[str, str]] = ()) -> list[tuple[Effect, Array]]:
@@ -124,6 +124,8 @@ class Rounds:
         made: list[Replay] = []
 
         def replay_with(effect: Effect) -> Replay:
+            if made:  # they are simulated one after the other: what a hundred hold is gigabytes
+                made[-1].sim.release()
             made.append(self.replay([*base.replay.effects, effect]))
             return made[-1]
 
@@ -132,6 +134,12 @@ class Rounds:
     def replay(self, effects: Sequence[Effect]) -> Replay:
         """The model with effects."""
         return Replay(self.model, self.space, effects, self.nthread, self.device, self.recall)
+
+    def _end(self, replays: Sequence[Replay]) -> None:
+        """Count the steps of replays that are not asked again soon, and give back what they hold."""
+        self.count(*replays)
+        for replay in replays:
+            replay.sim.release()
 
     def count(self, *replays: Replay) -> None:
         """Add the steps that replays simulated."""

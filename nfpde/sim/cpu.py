@@ -105,6 +105,10 @@ class MujocoSimulator(Simulator):
         self.simulated_steps += len(vector) * windows.horizon * nsub
         return out
 
+    def release(self) -> None:
+        """See `Simulator.release`."""
+        self._batch = None
+
     def prepare(self, dataset: Dataset) -> Dataset:
         """The data set with its columns in the model's order; see `Simulator.prepare`."""
         return match_dataset(self.model, self.states, dataset)

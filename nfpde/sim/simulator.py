@@ -189,6 +189,10 @@ class Simulator(ABC):
         """`losses` (M, N) where they were computed; the next call of the simulator may write over them."""
         return self.losses(xi, windows, scale)
 
+    def release(self) -> None:
+        """Give back the memory that is held for the next call, which takes it anew."""
+        return
+
     def prepare(self, dataset: Dataset) -> Dataset:
         """Check that recordings fit this simulator; returns them, in its order where it and they name columns.
 
