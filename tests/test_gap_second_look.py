@@ -32,7 +32,7 @@ class Looking(Selection):
     def again(self, smaller, trials) -> Any:
         return smaller
 
-    def accept(self, current: Any, trials, first_gap, level=0.0) -> Any:
+    def accept(self, current: Any, trials, first_gap, level=0.0, settled=None) -> Any:
         name = current.without
         if name == self.gone:
             return None

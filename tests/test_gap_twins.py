@@ -214,7 +214,7 @@ class Leading(Selection):
         self.turns += 1
         return [t for t in self.leads.get(found.effect.name, []) if t not in trials]
 
-    def accept(self, current, trials, first_gap, level=0.0):
+    def accept(self, current, trials, first_gap, level=0.0, settled=None):
         best: Any = max(trials, key=lambda t: t.density.mean())
         return best, Accepted(best.effect, best, (), (), tuple(trials))
 

@@ -108,7 +108,7 @@ class Standing(Selection):
         self.steps += 10
         return [f"effect {len(taken) + 1}"] if len(taken) < 1 + self.more else []
 
-    def accept(self, current, trials: Any, first_gap, level=0.0) -> Any:
+    def accept(self, current, trials: Any, first_gap, level=0.0, settled=None) -> Any:
         return (SimpleNamespace(fit=None), SimpleNamespace(effect=trials[0])) if trials else None
 
     def _idle(self, trial, current, first_gap):
