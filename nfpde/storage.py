@@ -54,6 +54,9 @@ def write_whole(path: Path, data: bytes | str) -> None:
 
 LOCK_FILE = ".lock"
 
+ATTEMPTS = 10
+"""To open a file in a folder that others make and take away."""
+
 
 @contextmanager
 def alone_in(folder: Path, what: str) -> Iterator[None]:
@@ -63,14 +66,14 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
     drives, Windows) nobody is kept out.
 
     Args:
-        folder: made where it is missing; holds `.lock` within the block.
+        folder: made where it is missing, and taken away again if nothing is left in it; holds `.lock` within the block.
         what: what is done in it, with which the message of an error begins: "training".
 
     Raises:
         BadInput: somebody else is in such a block.
         OSError: the folder cannot be made or written into; it is the `filename`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
     path = folder / LOCK_FILE
     file = _locked(path)
     while file is not None and not _is_at(file, path):  # whoever had it before has removed it meanwhile
@@ -86,14 +89,14 @@ def alone_in(folder: Path, what: str) -> Iterator[None]:
         with contextlib.suppress(OSError):
             path.unlink()
         file.close()
+        with contextlib.suppress(OSError):  # until one that holds something
+            for made in missing:
+                made.rmdir()
 
 
 def _locked(path: Path) -> BinaryIO | None:
-    """The file, made where it is missing, open and locked; None where somebody else has locked it."""
-    try:
-        file = path.open("ab")
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path.parent)) from None
+    """The file, made with its folder where it is missing, open and locked; None where somebody else has locked it."""
+    file = _opened(path)
     try:
         import fcntl
 
@@ -104,6 +107,17 @@ def _locked(path: Path) -> BinaryIO | None:
     except (ImportError, OSError):  # no such locks here
         pass
     return file
+
+
+def _opened(path: Path, attempts: int = ATTEMPTS) -> BinaryIO:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("ab")
+    except OSError as error:
+        # whoever had made the folder may have taken it away meanwhile
+        if isinstance(error, FileNotFoundError) and attempts > 1:
+            return _opened(path, attempts - 1)
+        raise OSError(error.errno, error.strerror, str(path.parent)) from None
 
 
 def _is_at(file: BinaryIO, path: Path) -> bool:

@@ -137,7 +137,25 @@ def test_a_folder_is_of_one_process_at_a_time(tmp_path, end):
     holder.communicate(timeout=60)
     with alone_in(folder, "training"):
         assert [p.name for p in folder.iterdir()] == [".lock"]
-    assert not list(folder.iterdir())
+    assert not (folder / ".lock").exists()
+
+
+@pytest.mark.parametrize("kept", [None, "inner", "inner/out"])
+def test_a_folder_in_which_nothing_was_written_is_taken_away(tmp_path, kept):
+    """With those above it that were made for it; what was there stays, and what holds something."""
+    folder = tmp_path / "inner" / "out"
+    if kept is not None:
+        (tmp_path / kept).mkdir(parents=True)
+    with pytest.raises(KeyError), alone_in(folder, "work"):
+        raise KeyError
+    assert [str(p.relative_to(tmp_path)) for p in sorted(tmp_path.rglob("*"))] == {
+        None: [],
+        "inner": ["inner"],
+        "inner/out": ["inner", "inner/out"],
+    }[kept]
+    with alone_in(folder, "work"):
+        (folder / "result").write_text("done")
+    assert (folder / "result").read_text() == "done"
 
 
 def test_a_folder_is_of_one_thread_at_a_time(tmp_path):
