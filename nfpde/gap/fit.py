@@ -272,7 +272,7 @@ class Fitter:
             slopes = _carried(fit, move, residuals[best] - fit.residuals)
             xi = fit.replay.outward(trials[best])
             fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
-            damping = max(damping * _DAMPINGS[best % 2] * 0.3, 1e-9)
+            damping = max(damping * _DAMPINGS[best % 2] * 0.3, 1e-9)  # along a bend as bold as the step that led there
             renew = d if gain >= _KEPT_WORD * foretold else kept
             if gain < _LAST and settled:
                 break
