@@ -199,6 +199,24 @@ def test_sizes_follow_the_robot():
         assert other == pytest.approx(factor * one, rel=1e-6), name
 
 
+FLANGED = """<mujoco><worldbody><body name="arm"><joint name="pan"/><geom type="capsule" fromto="0 0 0 .6 0 0" size=".05"/>
+<body name="flange" pos=".6 0 0"><joint name="turn"/><geom type="capsule" fromto="0 0 0 0 0 -.05" size=".02"/></body>
+</body></worldbody></mujoco>"""
+
+
+def test_a_small_flange_may_hold_a_long_tool():
+    """As long as the arm before it, which alone is held to its own size; so is a flange on nothing that moves."""
+    model = load_model(load(FLANGED))
+    scales = DataScales.of(model, record(model, 2, 20, 4))
+    found = {e.target: e.parameters for e in all_candidates(model, scales) if e.name == "payload"}
+    arm, tool = (0.5 * (found[body][3].high - found[body][3].low) for body in ("arm", "flange"))
+    assert arm == pytest.approx(1.5 * 0.35)  # half its length and the radius
+    assert tool == pytest.approx(0.35)
+    fixed = load_model(load(FLANGED.replace('<joint name="pan"/>', "")))
+    alone = next(e for e in all_candidates(fixed, DataScales.of(fixed, record(fixed, 2, 20, 4))) if e.name == "payload")
+    assert alone.parameters[3].high - alone.parameters[3].low == pytest.approx(2 * 1.5 * 0.045)
+
+
 def test_effects_can_be_left_out():
     """By name; a name that no effect has is an error."""
     model = load_model(load(DOUBLE_PENDULUM))

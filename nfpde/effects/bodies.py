@@ -19,6 +19,11 @@ def is_simple(model: mujoco.MjModel, body: int) -> bool:
     return int(model.body_simple[body]) != 0
 
 
+def ends_chain(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body carries no other."""
+    return not (model.body_parentid[1:] == body).any()
+
+
 def reach(model: mujoco.MjModel, body: int) -> float:
     """Distance [m] from a body's centre of mass within which its geoms lie; at least 2 cm."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])

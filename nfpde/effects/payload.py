@@ -5,7 +5,7 @@ import math
 import mujoco
 import numpy as np
 
-from nfpde.effects.bodies import is_simple, moves, reach
+from nfpde.effects.bodies import ends_chain, is_simple, moves, reach
 from nfpde.effects.effect import Array, Bounds, Quantity
 from nfpde.effects.lever import Lever
 from nfpde.effects.registry import register
@@ -32,11 +32,14 @@ class Payload(Lever):
     def bounds_for(cls, model: mujoco.MjModel, element: int, scales: DataScales) -> Bounds | None:
         """Up to the mass of all that moves, within one and a half times the body's size from its centre.
 
-        A body that MuJoCo compiled as simple takes the mass at its centre only.
+        What ends a chain may hold a tool as long as the link before it, however small it is itself. A body that MuJoCo
+        compiled as simple takes the mass at its centre only.
         """
         if not moves(model, element):
             return None
-        far = 1.5 * reach(model, element) if not is_simple(model, element) else _NOWHERE
+        parent = int(model.body_parentid[element])
+        link = reach(model, parent) if ends_chain(model, element) and moves(model, parent) else 0.0
+        far = max(1.5 * reach(model, element), link) if not is_simple(model, element) else _NOWHERE
         mass = float(model.body_subtreemass[model.body_rootid[element]])
         centre = model.body_ipos[element]
         places = {f"position_{axis}": (float(c) - far, float(c) + far) for axis, c in zip("xyz", centre, strict=True)}
