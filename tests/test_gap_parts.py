@@ -286,6 +286,16 @@ def test_halves_leave_either_half_long_windows():
     assert alike_halves(every, np.ones(len(every)), 0, one_sided) is None
 
 
+@pytest.mark.parametrize(("rows", "lead", "first"), [(400, 25, 26), (60, 25, 10), (60, 0, 0)])
+def test_short_episodes_leave_out_what_they_can_spare(rows, lead, first):
+    """In windows 26 rows apart the first; of eleven that are five apart two, as three would be more than a fifth."""
+    data = record(episodes=20, rows=rows)
+    every, cut = (cut_recordings(data, 0, 0, 1000, rows_left) for rows_left in (0, lead))
+    assert [min(half.row.min() for half in (c.fit, c.held)) for c in (every, cut)] == [0, first]
+    whole, left = (len(c.fit) + len(c.held) for c in (every, cut))
+    assert left >= 0.8 * whole
+
+
 def test_memory_is_that_of_the_windows_that_are_used():
     """Four times as long a recording with a long history takes no four times the memory."""
     peaks = []

@@ -149,10 +149,9 @@ def cut_recordings(
 
 
 def _halves(every: Windows, lead: int, held: HeldOut) -> tuple[Index, Index]:
-    """Indices of windows to fit and of held-out ones."""
-    settled = every.row >= lead
-    if settled.sum() < (1 - MOST_LEFT_OUT) * len(every):
-        settled[:] = True
+    """Indices of windows to fit and of held-out ones, without as much of the beginnings as they can spare."""
+    spared = np.sort(every.row)[int(MOST_LEFT_OUT * len(every))] if len(every) else 0
+    settled = every.row >= min(lead, spared)
     late = held.late(every)
     return np.flatnonzero(settled & ~late), np.flatnonzero(settled & late)
 
