@@ -199,8 +199,9 @@ def test_sizes_follow_the_robot():
         assert other == pytest.approx(factor * one, rel=1e-6), name
 
 
-FLANGED = """<mujoco><worldbody><body name="arm"><joint name="pan"/><geom type="capsule" fromto="0 0 0 .6 0 0" size=".05"/>
-<body name="flange" pos=".6 0 0"><joint name="turn"/><geom type="capsule" fromto="0 0 0 0 0 -.05" size=".02"/></body>
+FLANGED = """<mujoco><worldbody><body name="arm"><joint name="pan"/>
+<geom type="capsule" fromto="0 0 0 .6 0 0" size=".05"/><body name="flange" pos=".6 0 0"><joint name="turn"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.05" size=".02"/></body>
 </body></worldbody></mujoco>"""
 
 

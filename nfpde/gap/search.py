@@ -12,6 +12,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
+from nfpde.gap.begins import begins_otherwise, begins_worse
 from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
@@ -22,7 +23,7 @@ from nfpde.gap.remembered import with_remembered
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.stage import Stage, begins_worse, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.stage import Stage, first_fit, gaps, in_noise, moved_over
 from nfpde.gap.touching import free_dofs
 from nfpde.gap.trial import LEVEL, Court, Trial
 
@@ -121,14 +122,32 @@ class Search:
         """Search; windows at the beginning of episodes count where they show most.
 
         What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
-        most for that reason, and the search is run again without them, see `with_remembered`.
+        most for that reason, and the search is run again without them, see `with_remembered`. Beside contacts what was
+        found without them must hold there, too: else it is searched with them.
         """
         found = self._run(early=None if self.before is None else self.before.early)
+        if self._begin_otherwise(found):
+            self.report("how episodes begin")
+            again, steps = self._run(early=True), found.selection.steps
+            chosen = found if again.remembers else again
+            chosen.selection.steps = again.selection.steps + steps
+            return chosen
         if found.early and found.remembers:
             again, steps = self._run(early=False), found.selection.steps
             again.selection.steps += steps
             return with_remembered(found, again)
         return found
+
+    def _begin_otherwise(self, found: Found) -> bool:
+        """Whether what was found beside contacts does not hold at the beginnings of episodes, which were left out."""
+        if not self.touches or not found.accepted or found.early or found.remembers:
+            return False
+        every, near = self.cut(0), found.near
+        every = next(r for r in (*self._lengths(every), every) if r.horizons == near.recordings.horizons)
+        selection, lead = found.selection, self._history()[2]
+        otherwise = begins_otherwise(found.final, near.sigma, every, lead, near.court.capped, self.seed)
+        selection.count(found.final.fit.replay)
+        return otherwise
 
     def _run(self, *, early: bool | None) -> Found:
         """Search with windows at the beginning of episodes or without them; None: where they show most.
@@ -200,7 +219,8 @@ class Search:
             known = np.vstack([self.guesses, self.before.xi])
             fitted = first_fit(self.start, self._lengths(recordings)[0], known, capped=self.touches, look=False)
             return held, recordings, lead, *fitted
-        recordings, lead = self.cut(), None
+        lead = 0 if early else None
+        recordings = self.cut(lead)
         lengths = self._lengths(recordings)
         base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
         if early is None:

@@ -21,9 +21,6 @@ from nfpde.gap.trial import Court, Trial, noise_of
 
 Array = NDArray[np.float64]
 
-WORSE = 2.0
-"""Mean gap of the windows at the beginning of episodes, in that of the others, from which they are looked at too."""
-
 LOOKS, PITS = 32, 3
 """Values looked at all over the bounds of free parameters, for each of them, and the best of these to fit from: where
 contacts are."""
@@ -154,30 +151,6 @@ def gaps(base: Trial, court: Court) -> Array:
     """What a base leaves in every window, those to fit first (N,)."""
     white = base.fit.scatter.whiten(np.concatenate([base.fit.residuals, base.held]))
     return calm(white**2, court.capped).mean((1, 2))
-
-
-def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> bool:
-    """Whether windows in the first `lead` rows of episodes, which were left out, show more of a gap than others do.
-
-    What was commanded before an episode is not known, and matters to few effects; but a robot that hits something does
-    so soon after it was let go, and rests in what follows.
-
-    Args:
-        base: The fit of the parameters alone, to other windows.
-        court: That judges it.
-        every: Windows of the same length, those left out among them.
-        lead: Rows.
-    """
-    early = [half[np.flatnonzero(half.row < lead)] for half in (every.fit, every.held)]
-    residuals = [
-        Fitter(half, every.horizons, channels=every.channels).residuals_at(base.fit.replay, base.fit.xi[None])[0]
-        for half in early
-        if len(half)
-    ]
-    if not residuals:
-        return False
-    white = base.fit.scatter.whiten(np.concatenate(residuals))
-    return float(calm(white**2, court.capped).mean()) > WORSE * float(gaps(base, court).mean())
 
 
 def in_noise(
