@@ -176,7 +176,7 @@ def test_what_was_tried_first_is_shown_in_the_noise_of_the_end(monkeypatch):
 
     class Quieter(Search):
         def _begun(self, *, early) -> Any:
-            return None, recordings, None, "base", "court"
+            return None, recordings, "base", "court"
 
         def _may_hide(self, near, selection, final):
             return near is stages[0]
@@ -192,7 +192,7 @@ def test_what_was_tried_first_is_shown_in_the_noise_of_the_end(monkeypatch):
     chosen = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING)
     data: Any = SimpleNamespace(control_dt=0.01)
     told = Quieter(ANYTHING, data, [], np.zeros((1, 0)), 40, 0, lambda stage: chosen, lambda what: None)._run(
-        early=None
+        early=False
     )
     assert len(stages) == 2
     assert told.near is stages[1]

@@ -38,7 +38,6 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
     recordings = cut_recordings(pushes(0.5, rows=800), 0, 0, 60)
     part = "nfpde.gap.search."
     monkeypatch.setattr(part + "first_fit", lambda *args, **options: ("base", court))
-    monkeypatch.setattr(part + "begins_worse", lambda *args: False)
     monkeypatch.setattr(part + "moved_over", lambda base, court, there: ("base", court))
     monkeypatch.setattr(part + "gaps", lambda *args: np.ones(60))
     monkeypatch.setattr(part + "alike_halves", lambda *args: None)
@@ -86,7 +85,7 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
     search = Asking(ANYTHING, data, [(SOFT, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, select, lambda what: None)
     if again:
         search = replace(search, before=Earlier(None, False, 1.0, np.zeros(0), LEVEL / 4))
-    found_there = search._run(early=None)
+    found_there = search._run(early=False)
     assert found_there.every is every  # then nothing is left to look at once more
     some, all_steps = (brief(recordings, *most) for most in ((), (EVERY,)))
     assert len(some[0].fit) < len(all_steps[0].fit)

@@ -41,41 +41,43 @@ def test_a_fall_tells_what_rest_does_not():
 
 
 class Beginning(Search):
-    """A search that finds a worn motor without beginnings, and with them what it is told to."""
+    """A search that finds one effect without beginnings, and with them another."""
 
-    steps = 7
+    otherwise: bool
 
     def _run(self, *, early):
-        self.report({None: "as ever", True: "with", False: "without"}[early])
-        name = "motor_strength" if not early else self.candidates[0][0].name
-        accepted: Any = [SimpleNamespace(effect=SimpleNamespace(name=name, memory_time=lambda: float(name == "late")))]
+        self.report("with" if early else "without")
+        effect, _ = self.candidates[early]
         near: Any = SimpleNamespace(recordings=ANYTHING)
-        selection: Any = SimpleNamespace(steps=self.steps, sigma=np.zeros(1))
-        return Found(ANYTHING, near, selection, ANYTHING, accepted, early is True)
+        accepted: Any = [SimpleNamespace(effect=effect)]
+        selection: Any = SimpleNamespace(steps=7, sigma=np.zeros(1))
+        return Found(ANYTHING, near, selection, ANYTHING, accepted, early)
 
     def _begin_otherwise(self, found):
-        return True
+        return self.otherwise
 
 
-@pytest.mark.parametrize(("there", "named"), [("ground_height", "ground_height"), ("late", "motor_strength")])
-def test_what_beginnings_contradict_is_searched_with_them(there, named):
+WORN, LATE = (
+    effect("motor_strength", "along", scale=(0.0, 2.0)),
+    effect("actuation_delay", "along", delay=(0.0, 0.1)),
+)
+
+
+@pytest.mark.parametrize(
+    ("there", "otherwise", "runs"),
+    [
+        ([WORN, WORN], False, ["without"]),
+        ([WORN, WORN], True, ["without", "with"]),
+        ([LATE, WORN], True, ["without"]),  # nobody knows what was commanded before, and beginnings differ for that
+        ([WORN, LATE], True, ["without", "with"]),
+    ],
+)
+def test_what_beginnings_contradict_is_searched_with_them(there, otherwise, runs):
     """What they tell counts, but an effect of earlier commands, which nobody recorded; the steps of both add up."""
     said: list[str] = []
-    candidate: Any = SimpleNamespace(name=there, whole=None)
-    search = Beginning(ANYTHING, ANYTHING, [(candidate, ANYTHING)], np.zeros((1, 0)), 8, 0, ANYTHING, said.append)
+    search = Beginning(ANYTHING, ANYTHING, [(e, ANYTHING) for e in there], ANYTHING, 8, 0, ANYTHING, said.append)
+    Beginning.otherwise = otherwise
     found = search._with_beginnings()
-    assert said == ["as ever", "how episodes begin", "with"]
-    assert [a.effect.name for a in found.accepted] == [named]
-    assert found.selection.steps == 2 * Beginning.steps
-
-
-@pytest.mark.parametrize("why", ["touches nothing", "nothing found", "looked at", "acts late"])
-def test_beginnings_are_not_always_asked(why):
-    """Only where contacts are, and something was found without them that does not act by earlier commands."""
-    candidate: Any = SimpleNamespace(whole=None if why == "touches nothing" else "contact")
-    search = Search(ANYTHING, ANYTHING, [(candidate, ANYTHING)], ANYTHING, 8, 0, ANYTHING, lambda what: None)
-    accepted: Any = [SimpleNamespace(effect=SimpleNamespace(memory_time=lambda: float(why == "acts late")))]
-    accepted = [] if why == "nothing found" else accepted
-    assert not search._begin_otherwise(
-        Found(ANYTHING, ANYTHING, ANYTHING, ANYTHING, accepted, early=why == "looked at")
-    )
+    assert [s for s in said if s != "how episodes begin"] == runs
+    assert found.early is (len(runs) == 2 and there[1] is not LATE)
+    assert found.selection.steps == 7 * len(runs)

@@ -64,7 +64,8 @@ def test_looks_that_find_nothing_share_one_level(at_floor, monkeypatch):
     monkeypatch.setattr(module, "joined", lambda fit, held: states)
     monkeypatch.setattr(module, "free_dofs", lambda model, states: np.array([0]))
     monkeypatch.setattr(module, "Far", lambda *_: ANYTHING)
-    monkeypatch.setattr(Search, "_begun", lambda search, *, early: (None, longest, None, base, court))
+    monkeypatch.setattr(Search, "_begun", lambda search, *, early: (None, longest, base, court))
+    monkeypatch.setattr(Search, "_begin_otherwise", lambda *_: False)
     monkeypatch.setattr(Search, "_in_noise", lambda *_: False)
     monkeypatch.setattr(Search, "after", lambda search, before, longer, known, **_: stage(longer))
 

@@ -11,12 +11,10 @@ from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.answer import ALARM, _verdict
 from nfpde.gap.fit import Fitter
-from nfpde.gap.found import Found
 from nfpde.gap.levels import Yardstick
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.report import Level
 from nfpde.gap.screen import screen
-from nfpde.gap.search import Search
 from nfpde.gap.trial import LEVEL, Court, Trial, likelihood_test
 from tests.gap_straight import ByGain, Change
 from tests.gap_systems import nominal, record
@@ -159,31 +157,6 @@ def test_a_limit_that_is_seldom_reached_is_found_beside_another_fault():
     assert {(c.effect, c.target) for c in found.effects} == {("coulomb_friction", "shoulder"), ("torque_limit", "bend")}
     limit = next(c for c in found.effects if c.effect == "torque_limit")
     assert limit.parameters["limit"].value == pytest.approx(2.7, rel=0.01)
-
-
-class Rerun(Search):
-    """A search that always finds one effect, with early windows unless they are forbidden."""
-
-    def _run(self, *, early):
-        self.report("with" if early is None else "without")
-        accepted: Any = [SimpleNamespace(effect=self.candidates[0][0])]
-        near: Any = SimpleNamespace(recordings=ANYTHING)
-        return Found(ANYTHING, near, self.select(ANYTHING), ANYTHING, accepted, early is None)
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "runs"),
-    [("actuation_delay", {"delay": (0.0, 0.1)}, ["with", "without"]), ("backlash", {"width": (0.0, 0.1)}, ["with"])],
-)
-def test_late_commands_are_not_judged_where_nobody_recorded_them(name, values, runs):
-    """Where early windows brought up an effect of earlier commands, the search is run again without; steps add up."""
-    said: list[str] = []
-    late: Any = [(effect(name, "bend", **values), np.zeros((1, 1)))]
-    select: Any = lambda stage: SimpleNamespace(steps=7, sigma=np.zeros(1))  # noqa: E731
-    _, found = Rerun(ANYTHING, ANYTHING, late, np.zeros((1, 0)), 8, 0, select, said.append).run()
-    assert said == runs
-    assert found.early is (len(runs) == 1)
-    assert found.selection.steps == 7 * len(runs)
 
 
 class Straight:

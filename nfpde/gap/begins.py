@@ -11,43 +11,19 @@ from nfpde.gap.levels import calm
 from nfpde.gap.loud import noise_residuals
 from nfpde.gap.noise import precision_of
 from nfpde.gap.recordings import Recordings, joined
-from nfpde.gap.stage import gaps
-from nfpde.gap.trial import Court, Trial
+from nfpde.gap.trial import Trial
 
 Array = NDArray[np.float64]
 
 WORSE = 2.0
-"""Mean gap of the windows at the beginning of episodes, in that of the others, from which they are looked at too."""
-
-
-def begins_worse(base: Trial, court: Court, every: Recordings, lead: int) -> bool:
-    """Whether windows in the first `lead` rows of episodes, which were left out, show more of a gap than others do.
-
-    What was commanded before an episode is not known, and matters to few effects; but a robot that hits something does
-    so soon after it was let go, and rests in what follows.
-
-    Args:
-        base: The fit of the parameters alone, to other windows.
-        court: That judges it.
-        every: Windows of the same length, those left out among them.
-        lead: Rows.
-    """
-    early = [half[np.flatnonzero(half.row < lead)] for half in (every.fit, every.held)]
-    residuals = [
-        Fitter(half, every.horizons, channels=every.channels).residuals_at(base.fit.replay, base.fit.xi[None])[0]
-        for half in early
-        if len(half)
-    ]
-    if not residuals:
-        return False
-    white = base.fit.scatter.whiten(np.concatenate(residuals))
-    return float(calm(white**2, court.capped).mean()) > WORSE * float(gaps(base, court).mean())
+"""Mean squares in windows at the beginning of episodes, in those of the others or of noise, from which they count."""
 
 
 def begins_otherwise(final: Trial, sigma: Array, every: Recordings, lead: int, capped: float, seed: int) -> bool:
     """Whether what was found without the first `lead` rows of episodes does not hold there.
 
-    A robot that rests on a floor tells little of its height: that is told by the fall before.
+    What was commanded before an episode is not known, and matters to few effects; but a robot that rests on a floor
+    tells little of its height: that is told by the fall before.
 
     Args:
         final: What was found, on windows of the same length.

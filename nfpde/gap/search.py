@@ -12,7 +12,7 @@ from nfpde.dataset import Dataset
 from nfpde.effects import Effect
 from nfpde.gap.accepted import Accepted
 from nfpde.gap.beginnings import best_beginning
-from nfpde.gap.begins import begins_otherwise, begins_worse
+from nfpde.gap.begins import begins_otherwise
 from nfpde.gap.brief import EVERY, MOST, brief, single_steps
 from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
@@ -119,44 +119,41 @@ class Search:
         return self.over_longest(found)
 
     def _with_beginnings(self) -> Found:
-        """Search; windows at the beginning of episodes count where they show most.
+        """Search without windows at the beginning of episodes, and with them where what was found does not hold there.
 
-        What an effect with a memory does there depends on commands that nobody recorded: where one is found, they show
-        most for that reason, and the search is run again without them, see `with_remembered`. Beside contacts what was
-        found without them must hold there, too: else it is searched with them.
+        What an effect with a memory does there depends on commands that nobody recorded: where one is found, they tell
+        nothing of its values, see `with_remembered`.
         """
-        found = self._run(early=None if self.before is None else self.before.early)
-        if self._begin_otherwise(found):
-            self.report("how episodes begin")
-            again, steps = self._run(early=True), found.selection.steps
-            chosen = found if again.remembers else again
-            chosen.selection.steps = again.selection.steps + steps
-            return chosen
-        if found.early and found.remembers:
-            again, steps = self._run(early=False), found.selection.steps
-            again.selection.steps += steps
-            return with_remembered(found, again)
-        return found
+        early = self.before is not None and self.before.early
+        found = self._run(early=early)
+        if early or found.remembers or not self._begin_otherwise(found):
+            return found
+        self.report("how episodes begin")
+        again, steps = self._run(early=True), found.selection.steps
+        chosen = again
+        if again.remembers:
+            found.selection.steps = 0
+            chosen = with_remembered(again, found)
+            steps += chosen.selection.steps
+        chosen.selection.steps = again.selection.steps + steps
+        return chosen
 
     def _begin_otherwise(self, found: Found) -> bool:
-        """Whether what was found beside contacts does not hold at the beginnings of episodes, which were left out."""
-        if not self.touches or not found.accepted or found.early or found.remembers:
-            return False
-        every, near = self.cut(0), found.near
+        """Whether what was found does not hold at the beginnings of episodes, as far as these were left out."""
+        every, near, lead = self.cut(0), found.near, self._history()[2]
         every = next(r for r in (*self._lengths(every), every) if r.horizons == near.recordings.horizons)
-        selection, lead = found.selection, self._history()[2]
         otherwise = begins_otherwise(found.final, near.sigma, every, lead, near.court.capped, self.seed)
-        selection.count(found.final.fit.replay)
+        found.selection.count(found.final.fit.replay)
         return otherwise
 
-    def _run(self, *, early: bool | None) -> Found:
-        """Search with windows at the beginning of episodes or without them; None: where they show most.
+    def _run(self, *, early: bool) -> Found:
+        """Search with windows at the beginning of episodes or without them.
 
         What an effect does adds up over longer windows, and so does what wrong starts do beside contacts, where they
         push on average: near the noise all single steps tell more, and more truly, and what these find stands.
         """
         self.report("fitting the parameters")
-        held, recordings, lead, base, court = self._begun(early=early)
+        held, recordings, base, court = self._begun(early=early)
         lengths = self._lengths(recordings)
         whole = len(lengths) > 1  # single steps have few channels
         self.report("noise of the sensors")
@@ -182,7 +179,7 @@ class Search:
         near, selection, final, accepted = self._select(first, selection)
         if selection.below:  # where these ask for nothing, what adds up shows most in the longest
             lengths = lengths[:1] if accepted else [lengths[0], lengths[-1]]
-        if not unmeasured and not (lead is not None and remembers(accepted)):  # else all is searched again
+        if not unmeasured and not (early and remembers(accepted)):  # else all is searched again
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
         while known < len(accepted) < MOST_EFFECTS:
@@ -202,39 +199,33 @@ class Search:
                 selection.ranking[:] = [near.shown(t, refitted=False) for t in selection.ranking]
         if unmeasured:
             selection = replace(selection, most=MOST_EFFECTS)
-            if not (lead is not None and remembers(accepted)):
+            if not (early and remembers(accepted)):
                 final, accepted = best_beginning(selection, near.base, final, accepted)
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
             selection = replace(_looking_again(selection), last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
-        return Found(recordings, near, selection, final, accepted, lead == 0, halves=held, every=hidden)
+        return Found(recordings, near, selection, final, accepted, early, halves=held, every=hidden)
 
-    def _begun(self, *, early: bool | None) -> tuple[HeldOut | None, Recordings, int | None, Trial, Court]:
-        """What is held out, the longest windows and from which row on, and the fit to the shortest; see `cut`."""
+    def _begun(self, *, early: bool) -> tuple[HeldOut | None, Recordings, Trial, Court]:
+        """What is held out, the longest windows, and the fit to the shortest; see `_run`."""
+        lead = 0 if early else None
         if self.before is not None:
-            held, lead = self.before.halves, 0 if early else None
+            held = self.before.halves
             recordings = self.cut(lead, held)
             known = np.vstack([self.guesses, self.before.xi])
             fitted = first_fit(self.start, self._lengths(recordings)[0], known, capped=self.touches, look=False)
-            return held, recordings, lead, *fitted
-        lead = 0 if early else None
+            return held, recordings, *fitted
         recordings = self.cut(lead)
         lengths = self._lengths(recordings)
         base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
-        if early is None:
-            every = self.cut(0)
-            rows = self._history()[2]
-            if begins_worse(base, court, self._lengths(every)[0], rows):
-                recordings, lead, lengths = every, 0, self._lengths(every)
-                base, court = first_fit(self.start, lengths[0], self.guesses, capped=self.touches)
         longest = joined(recordings.fit, recordings.held)
         held = alike_halves(joined(lengths[0].fit, lengths[0].held), gaps(base, court), self.seed, longest)
         if held is not None:
             recordings = self.cut(lead, held)
             base, court = moved_over(base, court, self._lengths(recordings)[0])
-        return held, recordings, lead, base, court
+        return held, recordings, base, court
 
     def over_longest(self, found: Found) -> tuple[Stage, Found]:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
