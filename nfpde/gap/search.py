@@ -129,14 +129,12 @@ class Search:
         if early or found.remembers or not self._begin_otherwise(found):
             return found
         self.report("how episodes begin")
-        again, steps = self._run(early=True), found.selection.steps
-        chosen = again
-        if again.remembers:
-            found.selection.steps = 0
-            chosen = with_remembered(again, found)
-            steps += chosen.selection.steps
-        chosen.selection.steps = again.selection.steps + steps
-        return chosen
+        again = self._run(early=True)
+        again.selection.steps += found.selection.steps
+        if not again.remembers:
+            return again
+        found.selection.steps = again.selection.steps
+        return with_remembered(again, found)
 
     def _begin_otherwise(self, found: Found) -> bool:
         """Whether what was found does not hold at the beginnings of episodes, as far as these were left out."""
