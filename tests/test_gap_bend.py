@@ -7,9 +7,8 @@ import pytest
 
 import nfpde.gap.fit
 from nfpde.estimation.trajectory.student import GAUSSIAN, Student
-from nfpde.gap.fit import LAST, Fitter
+from nfpde.gap.fit import Fitter
 from nfpde.gap.noise import Scatter
-from nfpde.gap.trial import CLOSELY
 
 NOISE = 1e-5
 END = np.array([0.9, 0.5 * 0.9**2])
@@ -46,27 +45,3 @@ def test_a_fit_follows_a_valley_that_bends(looks, monkeypatch):
     error = NOISE / 1e-3 / np.sqrt(len(windows))
     assert bool(abs(fit.xi[0] - END[0]) < error) is looks
     assert abs(fit.xi[1] - 0.5 * fit.xi[0] ** 2) < 10 * NOISE
-
-
-class Flat(Valley):
-    """A parameter whose square counts: every step goes half of the way that is left, for a sixteenth of the cost."""
-
-    nfree, count = 1, 0
-
-    def residuals(self, xi, windows, horizons, force=None):
-        self.count += len(xi)
-        return np.square(xi - 0.9)[:, None, None] * np.ones((1, len(windows), 1, 1))
-
-
-def test_who_is_best_needs_no_last_digit():
-    """Steps that promise less than is asked for are not taken: fewer simulations, and next to nothing is missed."""
-    windows: Any = np.zeros(100)
-    scatter = Scatter((Student(np.eye(1) / NOISE, GAUSSIAN),), np.full((1, 1), 1e-9))
-    fits, counts = [], []
-    for least in (LAST, CLOSELY):
-        replay: Any = Flat()
-        fitter = Fitter(windows, (1,))
-        fits.append(fitter.improve(fitter.start(replay, np.array([[0.2]]), scatter), 50, least=least))
-        counts.append(replay.count)
-    assert counts[1] < counts[0]
-    assert 0 <= fits[1].cost - fits[0].cost < 2 * CLOSELY

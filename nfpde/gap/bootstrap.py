@@ -23,7 +23,7 @@ from nfpde.gap.fit import Fit
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.noise import Scatter, floor_of
 from nfpde.gap.quiet import quietened
-from nfpde.gap.trial import CLOSELY, LEAST_GAIN, Court, Trial
+from nfpde.gap.trial import LEAST_GAIN, Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def judging(court: Court, fit: Fit, halves: Sequence[Windows], sigma: Array, see
 def _refitted(court: Court, trial: Trial, guesses: Array, scatter: Scatter) -> Trial:
     """Fitted to a court's windows from the best of several guesses (G, D)."""
     fit = court.fitter.start(trial.fit.replay, guesses, scatter)
-    return court.judge(trial.effect, court.converged(fit, least=CLOSELY))
+    return court.judge(trial.effect, court.converged(fit))
 
 
 def _between(trial: Trial, places: Sequence[Array]) -> Array:

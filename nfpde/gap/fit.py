@@ -49,7 +49,7 @@ _BENT = 5.0
 _BACK = 1e-4
 """Share of the damping that counts there: straight across, as what pulls along the valley takes the step back."""
 
-LAST = 1e-2
+_LAST = 1e-2
 """Nats below which a step is not worth taking."""
 
 _ROUGHLY = 1e-3
@@ -229,8 +229,8 @@ class Fitter:
         u = fit.replay.inward(fit.xi[None])[0]
         return replace(fit, scatter=scatter, cost=self._cost(u, fit.residuals, scatter))
 
-    def improve(self, fit: Fit, iterations: int, kept: int = 0, least: float = LAST) -> Fit:
-        """Up to `iterations` steps; stops when a step promises less than `least` [nats].
+    def improve(self, fit: Fit, iterations: int, kept: int = 0) -> Fit:
+        """Up to `iterations` steps; stops when a step promises next to nothing.
 
         Slopes are carried along from step to step (Broyden, Math. Comp. 1965), and taken anew where they mislead and
         before they say that nothing is left to gain. Those of the first `kept` parameters are taken from the fit until
@@ -246,7 +246,7 @@ class Fitter:
             gradient = self._gradient(fit, u)
             trials = [self._trial(fit, u, gradient, damping * factor) for factor in _DAMPINGS]
             promise = float(np.max([-gradient @ (t - u) for t in trials]))
-            if promise < max(least, _ROUGHLY * (first - fit.cost) if kept else 0.0):
+            if promise < max(_LAST, _ROUGHLY * (first - fit.cost) if kept else 0.0):
                 if settled:
                     break
                 renew = 0
@@ -274,7 +274,7 @@ class Fitter:
             fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
             damping = max(damping * _DAMPINGS[best % 2] * 0.3, 1e-9)  # along a bend as bold as the step that led there
             renew = d if gain >= _KEPT_WORD * foretold else kept
-            if gain < least and settled:
+            if gain < _LAST and settled:
                 break
         return fit
 

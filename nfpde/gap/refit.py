@@ -14,7 +14,7 @@ from nfpde.gap.chart import all_over
 from nfpde.gap.fit import Fit
 from nfpde.gap.noise import Scatter
 from nfpde.gap.screen import SHARE, Screened
-from nfpde.gap.trial import CLOSELY, GLANCED, LEAST_GAIN, Court, Trial
+from nfpde.gap.trial import GLANCED, LEAST_GAIN, Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened], *, touches: boo
     trials = []
     for s, fit in close:
         if base.cost - fit.cost >= HOPEFUL * most:
-            fit = court.converged(fit, kept=len(base.xi), least=CLOSELY)
+            fit = court.converged(fit, kept=len(base.xi))
         trials.append(court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))))
     return sorted(trials, key=lambda trial: -trial.density.mean())
 

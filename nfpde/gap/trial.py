@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from nfpde.effects import Effect
-from nfpde.gap.fit import LAST, Fit, Fitter
+from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.grain import Encoders
 from nfpde.gap.loud import DRAWS, noise_residuals
 from nfpde.gap.noise import Scatter, learn_scatter
@@ -27,9 +27,6 @@ APART = 0.025
 LEAST_GAIN = 5.0
 """Log density [nats] that a candidate must gain on the windows it is fitted to for a closer look: with dozens of
 candidates that much comes by chance, and more is needed where no fit saw the data."""
-
-CLOSELY = 0.1 * LEAST_GAIN
-"""Nats below which a step is not worth taking to see who of several is best: the one that is chosen goes on."""
 
 POLISHED = 4
 """Turns of a fit to the end at most."""
@@ -93,17 +90,17 @@ class Court:
         some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
         return self.fitter.some(some), base.some(some)
 
-    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0, least: float = LAST) -> Fit:
-        """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve`."""
+    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
+        """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
         for _ in range(rounds):
             fit = self.fitter.rescale(fit, self.scatter(fit))
-            fit = self.fitter.improve(fit, iterations, kept, least)
+            fit = self.fitter.improve(fit, iterations, kept)
         return self.fitter.rescale(fit, self.scatter(fit))
 
-    def converged(self, fit: Fit, kept: int = 0, least: float = LAST) -> Fit:
+    def converged(self, fit: Fit, kept: int = 0) -> Fit:
         """Fitted to the end: until a turn gains no more than chance."""
         for _ in range(POLISHED):
-            found = self.settle(fit, iterations=6, kept=kept, least=least)
+            found = self.settle(fit, iterations=6, kept=kept)
             gain, fit = fit.cost - found.cost, found
             if gain < LEAST_GAIN:
                 break
