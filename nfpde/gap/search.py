@@ -177,7 +177,7 @@ class Search:
         near, selection, final, accepted = self._select(first, selection)
         if selection.below:  # where these ask for nothing, what adds up shows most in the longest
             lengths = lengths[:1] if accepted else [lengths[0], lengths[-1]]
-        if not unmeasured and not (early and remembers(accepted)):  # else all is searched again
+        if not unmeasured and not (early and remembers(accepted)):  # whose values are not taken from there
             final, accepted = best_beginning(selection, near.base, final, accepted)
         known = 0
         while known < len(accepted) < MOST_EFFECTS:
