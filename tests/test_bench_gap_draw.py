@@ -2,6 +2,7 @@
 
 import ast
 import json
+from collections import Counter
 from pathlib import Path
 
 import mujoco
@@ -10,7 +11,7 @@ import pytest
 
 from nfpde.bench.gap import sizes
 from nfpde.bench.gap.catalog import EFFECTS, OUTSIDERS
-from nfpde.bench.gap.draw import Hidden, draw_system, entry
+from nfpde.bench.gap.draw import KINDS, Hidden, draw_system, entry, kind_of_turn
 from nfpde.bench.gap.excite import SIGNALS, controller
 from nfpde.bench.gap.nominal import nominal_model
 from nfpde.bench.gap.pilot import pilot_of
@@ -173,6 +174,16 @@ def test_a_seed_and_an_index_name_one_system(system):
     assert again.xml == system.xml
     np.testing.assert_array_equal(again.runs[0].qpos, system.runs[0].qpos)
     assert draw_system(4, system.key["index"]).xml != system.xml
+
+
+def test_kinds_take_turns_in_random_order():
+    """Any 20 systems of one turn have what is meant of each kind, in an order that the seed decides."""
+    for seed in range(5):
+        turns = [[kind_of_turn(seed, 20 * turn + place) for place in range(20)] for turn in range(3)]
+        assert all(Counter(turn) == KINDS for turn in turns)
+        assert len({tuple(turn) for turn in turns}) == 3
+    assert kind_of_turn(0, 7) == kind_of_turn(0, 7)
+    assert len({tuple(kind_of_turn(seed, i) for i in range(20)) for seed in range(5)}) == 5
 
 
 def test_public_files_load_and_hide_the_key(system, tmp_path):

@@ -189,7 +189,7 @@ def _fit(
 
 def _diagnosis(index: int, windows: int | None, device: Device) -> dict[str, Any]:
     """The diagnosis of a hidden fault: seconds, verdict, causes and values."""
-    system = draw_system(SEED, index)
+    system = draw_system(SEED, index, "one")
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         write_public(system.xml, system.free, system.robot, system.runs, home)

@@ -35,7 +35,7 @@ class Case:
         folder: folder of the run; answers go to `answers/`, keys to `keys/`.
         command: the diagnosis; model, recordings and options follow it.
         limit: wall time after which the diagnosis is stopped [s].
-        kind: kind of the systems, see `draw.KINDS`; None: as they come.
+        kind: kind of the systems, see `draw.KINDS`; None: those whose turn it is.
     """
 
     seed: int

@@ -27,8 +27,9 @@ from nfpde.bench.gap.store import write_key, write_public
 
 Array = NDArray[np.float64]
 
-KINDS = {"one": 0.6, "none": 0.15, "two": 0.15, "outsider": 0.1}
-"""Shares of the kinds of systems."""
+KINDS = {"one": 12, "none": 3, "two": 3, "outsider": 2}
+"""Systems of each kind among as many consecutive ones as there are in all, in random order: left to chance, a table of
+200 may hold ten sound robots where thirty are meant."""
 
 SMALLEST = 0.1
 """Least size of a fault over the noise (root mean square over windows); smaller ones are drawn again."""
@@ -85,16 +86,15 @@ def entry(effect: str) -> Entry:
 
 
 def draw_system(seed: int, index: int, kind: str | None = None) -> System:
-    """The system of a seed and an index, always the same; of a kind (see `KINDS`), or of a random one.
+    """The system of a seed and an index, always the same; of a kind (see `KINDS`), or of the one whose turn it is.
 
-    Effects take turns: 28 consecutive indices have 28 different first choices. A draw whose faults do not show in the
-    recordings is drawn again, after some attempts with another effect.
+    Effects take turns, too: 28 consecutive indices have 28 different first choices. A draw whose faults do not show in
+    the recordings is drawn again, after some attempts with another effect.
 
     Raises:
         RuntimeError: no attempt gave a fault that shows.
     """
-    rng = np.random.default_rng([seed, 1, index, 1])  # streams may not differ by trailing zeros alone
-    kind = kind or str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    kind = kind or kind_of_turn(seed, index)
     round_, place = divmod(index, len(EFFECTS))
     first = str(np.random.default_rng([seed, 2, round_, 1]).permutation(list(EFFECTS))[place])
     for attempt in range(ATTEMPTS):
@@ -105,6 +105,13 @@ def draw_system(seed: int, index: int, kind: str | None = None) -> System:
             found.key.update(seed=seed, index=index, kind=kind, attempts=attempt + 1)
             return found
     raise RuntimeError(f"seed {seed}, index {index}: no fault that shows in {ATTEMPTS} attempts")
+
+
+def kind_of_turn(seed: int, index: int) -> str:
+    """The kind of system whose turn it is at an index."""
+    round_, place = divmod(index, sum(KINDS.values()))
+    rng = np.random.default_rng([seed, 1, round_, 1])  # streams may not differ by trailing zeros alone
+    return str(rng.permutation([kind for kind, count in KINDS.items() for _ in range(count)])[place])
 
 
 def _attempt(kind: str, first: str | None, rng: np.random.Generator) -> System | None:

@@ -61,7 +61,7 @@ def run(
         folder: where finished cases and keys are kept; None is runs/gap-SEED, or runs/gap-SEED-KIND.
         command: the diagnosis.
         device: where it simulates; the table of another one than the CPU is named gap_<device>.
-        kind: of the systems, see `draw.KINDS`; tables are named gap_<kind>. None: as they come, 60 % with one fault.
+        kind: of the systems, see `draw.KINDS`; tables are named gap_<kind>. None: each in turn, 60 % with one fault.
 
     Returns:
         One row a case.
@@ -110,7 +110,7 @@ def run(
 
 
 def default_folder(seed: int, kind: str | None) -> Path:
-    """Where the systems of a seed, all of one kind or as they come, are kept."""
+    """Where the systems of a seed, all of one kind or of each in turn, are kept."""
     return Path("runs") / (f"gap-{seed}" if kind is None else f"gap-{seed}-{kind}")
 
 
