@@ -99,11 +99,15 @@ def test_a_pit_that_a_candidate_leads_out_of_is_not_its_gain(monkeypatch):
     def replace_fit(fit: Any, xi: list[float], cost: float) -> Any:
         return SimpleNamespace(xi=np.array(xi), cost=cost, replay=fit.replay, scatter=ANYTHING)
 
-    court = Court(np.arange(8) // 2, ANYTHING, ANYTHING, np.zeros((1, 2)), np.zeros(1), ANYTHING)
+    half: Any = SimpleNamespace(windows=np.zeros(8))
+    court = Court(np.arange(8) // 2, half, ANYTHING, np.zeros((1, 2)), np.zeros(1), ANYTHING)
     for worth, gain in ((6.0, 6.0), (4.0, 0.0)):
 
-        def refitted(court: Court, trial: Trial, guesses: np.ndarray, scatter: Any, worth: float = worth) -> Trial:
+        def refitted(
+            court: Court, trial: Trial, guesses: np.ndarray, scatter: Any, least: float, worth: float = worth
+        ) -> Trial:
             # the candidate finds its way from any place
+            assert least == LEAST_GAIN
             return made(trial, 1.0 if trial.effect is not None else float(guesses[:, 0].max() > 0.5), worth)
 
         monkeypatch.setattr("nfpde.gap.bootstrap._refitted", refitted)
@@ -187,7 +191,7 @@ class Given(NoiseAlone):
         self._court: Any = SimpleNamespace(held=SimpleNamespace(windows=range(WINDOWS)))
         self.given, self.draws = given, 0
 
-    def gain(self, trial, draw):
+    def gain(self, trial, draw, enough=0.0):
         self.draws += 1
         return self.given[draw] / WINDOWS
 

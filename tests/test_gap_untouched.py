@@ -164,11 +164,12 @@ def test_longest_windows_are_searched_where_a_joint_stands_out(out, more, named,
     """What was found on short windows stands there as it was, and one more is named; else all stays as it was."""
     monkeypatch.setattr(Standing, "out", out)
     monkeypatch.setattr(Standing, "more", more)
+    monkeypatch.setattr("nfpde.gap.search.asks_again", lambda *told: False)
     said: list[str] = []
     chosen = Standing(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
     search = Longest(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 8, 0, ANYTHING, said.append)
     short: Any = SimpleNamespace()
-    first: Any = SimpleNamespace(effect="effect 1")
+    first: Any = SimpleNamespace(effect="effect 1", rivals=(), close=())
     final: Any = SimpleNamespace(fit=None)
     stage, found = search.over_longest(Found(ANYTHING, short, chosen, final, [first], early=False))
     assert stage is LONG

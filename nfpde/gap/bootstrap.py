@@ -44,6 +44,11 @@ SHARES = (1.0, 0.3, 0.1, 0.01)
 """Of what a candidate was fitted to be, from which it is fitted to noise."""
 
 
+EXACT = 0.05
+"""Share of what a candidate must gain, to which it is fitted to a draw: it is to be known whether noise gives as much,
+not how much it gives."""
+
+
 class NoiseAlone:
     """Windows as a model makes them, noise on their states, and what candidates gain there.
 
@@ -72,26 +77,27 @@ class NoiseAlone:
         given = list[float]()
         least = HIDDEN / len(self._court.held.windows)
         for draw in range(DRAWS):
-            given.append(max(self.gain(trial, draw), 0.0))
+            given.append(max(self.gain(trial, draw, enough), 0.0))
             if given[-1] >= enough:
                 return True
             if FIRST <= len(given) < DRAWS and enough > no_more_than(given, least):
                 return False
         return False
 
-    def gain(self, trial: Trial, draw: int) -> float:
-        """Held-out log density per window [nats] that a candidate gains in a draw of the noise.
+    def gain(self, trial: Trial, draw: int, enough: float = 0.0) -> float:
+        """Held-out log density per window [nats] that a candidate gains in a draw of the noise, to a part of `enough`.
 
         Nothing, if it does not fit its own half so much better that it would have been looked at. The likelihood has
         pits: the model without it goes on from where it leads, and it starts from where that one is, so that neither
         is credited for what the other had not found.
         """
         if (trial, draw) not in self._gains:
-            court, base = self._draw(draw)
+            least = max(LEAST_GAIN, EXACT * enough * len(self._court.fitter.windows))
+            court, base = self._draw(draw, least)
             scatter = base.fit.scatter
-            found = _refitted(court, trial, _between(trial, (trial.fit.xi, base.fit.xi)), scatter)
+            found = _refitted(court, trial, _between(trial, (trial.fit.xi, base.fit.xi)), scatter, least)
             led = found.fit.xi[None, : len(base.fit.xi)]
-            bases = [base, _refitted(court, base, led, scatter)] if led.size else [base]
+            bases = [base, _refitted(court, base, led, scatter, least)] if led.size else [base]
             best = min(bases, key=lambda t: t.fit.cost)
             better = best.fit.cost - found.fit.cost >= LEAST_GAIN
             self._gains[trial, draw] = court.gain(found, best)[0] if better else 0.0
@@ -103,14 +109,17 @@ class NoiseAlone:
         fit, halves = self._current.fit, (self._court.fitter, self._court.held)
         return [natural(fit.replay, fit.xi, half.windows) for half in halves]
 
-    def _draw(self, draw: int) -> tuple[Court, Trial]:
-        """The court over windows of a draw, and the model fitted to them."""
+    def _draw(self, draw: int, least: float = LEAST_GAIN) -> tuple[Court, Trial]:
+        """The court over windows of a draw, and the model fitted to them, as exactly as was asked first.
+
+        What it had still to gain, a candidate gains too, and the model again that goes on from there.
+        """
         while len(self._made) <= draw:
             rng, current = np.random.default_rng([self._seed, len(self._made)]), self._current
             recorded, encoders = self._court.fitter.windows, self._court.encoders
             made = [measured(current.fit.replay, truth, self._sigma, recorded, encoders, rng) for truth in self._truths]
             there = judging(self._court, current.fit, made, self._sigma, self._seed)
-            self._made.append((there, _refitted(there, current, current.fit.xi[None], current.fit.scatter)))
+            self._made.append((there, _refitted(there, current, current.fit.xi[None], current.fit.scatter, least)))
         return self._made[draw]
 
 
@@ -144,10 +153,10 @@ def judging(court: Court, fit: Fit, halves: Sequence[Windows], sigma: Array, see
     return quietened(plain, fit, np.concatenate(left), fit, sigma, seed, whole=whole)[0]
 
 
-def _refitted(court: Court, trial: Trial, guesses: Array, scatter: Scatter) -> Trial:
-    """Fitted to a court's windows from the best of several guesses (G, D)."""
+def _refitted(court: Court, trial: Trial, guesses: Array, scatter: Scatter, least: float) -> Trial:
+    """Fitted to a court's windows from the best of several guesses (G, D), until a turn gains less than so much."""
     fit = court.fitter.start(trial.fit.replay, guesses, scatter)
-    return court.judge(trial.effect, court.converged(fit))
+    return court.judge(trial.effect, court.converged(fit, least=least))
 
 
 def _between(trial: Trial, places: Sequence[Array]) -> Array:

@@ -49,7 +49,7 @@ _BENT = 5.0
 _BACK = 1e-4
 """Share of the damping that counts there: straight across, as what pulls along the valley takes the step back."""
 
-_LAST = 1e-2
+LAST = 1e-2
 """Nats below which a step is not worth taking."""
 
 _ROUGHLY = 1e-3
@@ -229,8 +229,8 @@ class Fitter:
         u = fit.replay.inward(fit.xi[None])[0]
         return replace(fit, scatter=scatter, cost=self._cost(u, fit.residuals, scatter))
 
-    def improve(self, fit: Fit, iterations: int, kept: int = 0) -> Fit:
-        """Up to `iterations` steps; stops when a step promises next to nothing.
+    def improve(self, fit: Fit, iterations: int, kept: int = 0, last: float = LAST) -> Fit:
+        """Up to `iterations` steps; stops when a step promises no more than `last` [nats].
 
         Slopes are carried along from step to step (Broyden, Math. Comp. 1965), and taken anew where they mislead and
         before they say that nothing is left to gain. Those of the first `kept` parameters are taken from the fit until
@@ -243,10 +243,10 @@ class Fitter:
             fit = self.linearise(fit, renew)
             settled = fit.fresh == 0 or kept > 0
             u = fit.replay.inward(fit.xi[None])[0]
-            gradient = self._gradient(fit, u)
+            gradient = self.gradient(fit, u)
             trials = [self._trial(fit, u, gradient, damping * factor) for factor in _DAMPINGS]
             promise = float(np.max([-gradient @ (t - u) for t in trials]))
-            if promise < max(_LAST, _ROUGHLY * (first - fit.cost) if kept else 0.0):
+            if promise < max(last, _ROUGHLY * (first - fit.cost) if kept else 0.0):
                 if settled:
                     break
                 renew = 0
@@ -274,7 +274,7 @@ class Fitter:
             fit = replace(fit, xi=xi, cost=costs[best], residuals=residuals[best], slopes=slopes, fresh=d)
             damping = max(damping * _DAMPINGS[best % 2] * 0.3, 1e-9)  # along a bend as bold as the step that led there
             renew = d if gain >= _KEPT_WORD * foretold else kept
-            if gain < _LAST and settled:
+            if gain < last and settled:
                 break
         return fit
 
@@ -315,7 +315,8 @@ class Fitter:
         slopes = np.stack([turns[turn].slopes[i] for i, turn in enumerate(most)])
         return self.linearise(replace(fit, slopes=slopes, fresh=0))
 
-    def _gradient(self, fit: Fit, u: Array) -> Array:
+    def gradient(self, fit: Fit, u: Array) -> Array:
+        """Of the cost by shares of the bounds (D,), at the fit's place."""
         white = fit.scatter.whiten(fit.residuals)
         weighted = white * fit.scatter.weights(white)[..., None]
         return fit.scatter.turned(fit.slopes).reshape(len(u), -1) @ weighted.ravel() + (u - 0.5) / PRIOR**2

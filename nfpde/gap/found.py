@@ -51,6 +51,11 @@ class Found:
         """Whether an accepted effect acts by commands from before a window."""
         return remembers(self.accepted)
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether there is anything to tell apart: others do nearly the same, or one may make up for another."""
+        return len(self.accepted) > 1 or any(a.rivals or a.close for a in self.accepted)
+
 
 @dataclass(frozen=True, eq=False)
 class Earlier:

@@ -12,6 +12,7 @@ from nfpde.effects import Effect
 from nfpde.gap.accepted import called
 from nfpde.gap.chart import all_over
 from nfpde.gap.fit import Fit
+from nfpde.gap.funnel import down_the_funnel
 from nfpde.gap.noise import Scatter
 from nfpde.gap.screen import SHARE, Screened
 from nfpde.gap.trial import GLANCED, LEAST_GAIN, Court, Trial
@@ -69,6 +70,7 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened], *, touches: boo
     for s, fit in close:
         if base.cost - fit.cost >= HOPEFUL * most:
             fit = court.converged(fit, kept=len(base.xi))
+            fit = down_the_funnel(court, fit) if touches else fit
         trials.append(court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))))
     return sorted(trials, key=lambda trial: -trial.density.mean())
 

@@ -24,6 +24,7 @@ from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
 from nfpde.gap.sensors import sensor_noise
 from nfpde.gap.stage import Stage, first_fit, gaps, in_noise, moved_over
+from nfpde.gap.telling import asks_again
 from nfpde.gap.touching import free_dofs
 from nfpde.gap.trial import LEVEL, Court, Trial
 
@@ -228,10 +229,13 @@ class Search:
     def over_longest(self, found: Found) -> tuple[Stage, Found]:
         """What was found on shorter windows, over the longest ones, and their stage: there the gap is measured.
 
-        What happens at a joint that touches nothing, short windows may not show: where one stands out in long ones, it
-        is asked about there.
+        Where these tell more of it, they decide. What happens at a joint that touches nothing, short windows may not
+        show: where one stands out in long ones, it is asked about there.
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
+        if asks_again(_moved(found.selection, stage), stage, found):
+            self.report("the longest windows, which tell more")
+            stage, found = self._told_by(stage, found)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
         selection = replace(selection, by_noise={}, scores={})
         final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
@@ -246,6 +250,19 @@ class Search:
                 return near, replace(found, near=near, selection=asked, final=final, accepted=more)
             over = replace(over, selection=replace(selection, steps=asked.steps, level=asked.level))
         return stage, over
+
+    def _told_by(self, stage: Stage, found: Found) -> tuple[Stage, Found]:
+        """What was found as the longest windows have it, and what they ask for beside it; as it was if nothing is left.
+
+        How well values are known is left to the short ones: slopes that are sharper than jumps are far apart would have
+        it that long ones know them to a thousandth.
+        """
+        selection = replace(_looking_again(found.selection), far=None, last=False, below=False)
+        by, selection, final, accepted = self._select(stage, selection, (found.final, found.accepted))
+        found.selection.steps = selection.steps
+        if not accepted:
+            return stage, found
+        return by, replace(found, selection=selection, final=final, accepted=accepted)
 
     def _by_free_joints(self, stage: Stage, found: Found) -> Found:
         """What joints that touch nothing ask for over the longest windows, where all joints together ask for nothing.

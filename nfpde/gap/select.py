@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nfpde.gap.acceptance import CLOSED, WORTH, Acceptance, Chosen
 from nfpde.gap.accepted import Accepted, called, key
 from nfpde.gap.fit import Fit
+from nfpde.gap.funnel import down_the_funnel
 from nfpde.gap.levels import FLOOR_ERROR
 from nfpde.gap.trial import APART, LEAST_GAIN, Trial, block_test
 
@@ -219,6 +220,8 @@ class Selection(Acceptance):
     def _converged(self, fit: Fit) -> Trial:
         """A fit brought to its end, so that the next effect does not make up for what is left of the way."""
         fit = self.court.converged(fit)
+        if self.sigma is not None and not self.untouched:
+            fit = down_the_funnel(self.court, fit)
         self.count(fit.replay)
         return self.court.judge(None, fit)
 

@@ -11,6 +11,7 @@ from nfpde.gap.chart import evenly
 from nfpde.gap.ends import at_ends
 from nfpde.gap.erring import misjudged
 from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.funnel import down_the_funnel
 from nfpde.gap.levels import CAPPED, Yardstick, calm, near_floor
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter, precision_of
 from nfpde.gap.quiet import quietened
@@ -189,7 +190,9 @@ def in_noise(
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = court.converged(fitter.rescale(found, court.scatter(found)))
-    found = fitter.linearise(at_ends(court, found) if court.capped else found)
+    if court.capped:
+        found = at_ends(court, down_the_funnel(court, found))
+    found = fitter.linearise(found)
     base = court.judge(None, found)
     nominal = court.held.residuals_at(found.replay, court.nominal[None])[0]
     yardstick = Yardstick.of(noise, base.held, court.capped, precision_of(moved))

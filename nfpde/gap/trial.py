@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from nfpde.effects import Effect
-from nfpde.gap.fit import Fit, Fitter
+from nfpde.gap.fit import LAST, Fit, Fitter
 from nfpde.gap.grain import Encoders
 from nfpde.gap.loud import DRAWS, noise_residuals
 from nfpde.gap.noise import Scatter, learn_scatter
@@ -30,6 +30,10 @@ candidates that much comes by chance, and more is needed where no fit saw the da
 
 POLISHED = 4
 """Turns of a fit to the end at most."""
+
+STEPS_OF = 20.0
+"""Steps of a fit that are worth a turn: where more than chance is needed to count, a step that gains a smaller part of
+that is the last of its turn."""
 
 SCREENED, GLANCED = (60, 3 / 8), (20, 1 / 8)
 """Windows that candidates are screened on, and glanced at: at least so many, and this share of all."""
@@ -90,19 +94,20 @@ class Court:
         some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
         return self.fitter.some(some), base.some(some)
 
-    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0) -> Fit:
-        """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve` for `kept`."""
+    def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0, last: float = LAST) -> Fit:
+        """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve`."""
         for _ in range(rounds):
             fit = self.fitter.rescale(fit, self.scatter(fit))
-            fit = self.fitter.improve(fit, iterations, kept)
+            fit = self.fitter.improve(fit, iterations, kept, last)
         return self.fitter.rescale(fit, self.scatter(fit))
 
-    def converged(self, fit: Fit, kept: int = 0) -> Fit:
-        """Fitted to the end: until a turn gains no more than chance."""
+    def converged(self, fit: Fit, kept: int = 0, least: float = LEAST_GAIN) -> Fit:
+        """Fitted to the end: until a turn gains less than what counts [nats], at first no more than chance."""
+        last = LAST if least <= LEAST_GAIN else least / STEPS_OF
         for _ in range(POLISHED):
-            found = self.settle(fit, iterations=6, kept=kept)
+            found = self.settle(fit, iterations=6, kept=kept, last=last)
             gain, fit = fit.cost - found.cost, found
-            if gain < LEAST_GAIN:
+            if gain < least:
                 break
         return fit
 
