@@ -32,6 +32,7 @@ RANK = {unit: rank for rank, row in enumerate(ROWS) for unit in row}
 # Libraries that only these files may import, as paths below nfpde/; a folder stands for all its files.
 ONLY_IN = {
     "zuko": ["flow/model.py"],
+    "cma": ["gap/funnel.py"],
     "stable_baselines3": ["rl"],
     "nfpde._rust_ot": ["ot.py"],
     "pyarrow": ["dataset"],

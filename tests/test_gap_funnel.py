@@ -37,16 +37,16 @@ class Rough:
 
     def residuals(self, xi, windows, horizons, force=None):
         self.asked += len(xi)
-        truth = self.elsewhere if windows.any() else self.truth
+        truth = self.elsewhere if windows[0] < 0 else self.truth
         linear = np.einsum("nci,gi->gnc", self.slopes, 100 * (xi - truth))
         rough = self.bumps * np.sin(np.einsum("nci,gi->gnc", self.waves, xi) + self.phase)
-        return (linear + rough + self.noise)[:, :, None]
+        return (linear + rough + self.noise)[:, np.abs(windows) - 1, None]
 
 
 def fitted(replay: Any, start: list[float]) -> tuple[Court, Fit]:
     """A fit by slopes from a place, and the court that made it."""
-    windows: Any = np.zeros(WINDOWS)
-    others: Any = np.ones(WINDOWS)
+    windows: Any = 1 + np.arange(WINDOWS)
+    others: Any = -windows
     fitter, held, floor = Fitter(windows, (1,)), Fitter(others, (1,)), np.full((1, 2), 1e-6)
     xi = np.array([start])
     scatter = learn_scatter(fitter.residuals_at(replay, xi)[0], 0, floor)
@@ -65,7 +65,8 @@ def test_a_population_sees_over_bumps(start):
     assert above > 4 * LEAST_GAIN
     # one place of hundreds may be better than the truth by chance
     assert found.cost - there.cost < 0.25 * above
-    assert np.abs(found.xi - replay.truth).max() < 0.3 * np.abs(stuck.xi - replay.truth).max()
+    # along the valley in which two parameters do nearly the same, bumps decide
+    assert np.abs(found.xi - replay.truth).max() < 0.5 * np.abs(stuck.xi - replay.truth).max()
 
 
 def test_in_smooth_motion_it_looks_once_and_leaves_the_fit_alone():

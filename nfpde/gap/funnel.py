@@ -13,7 +13,7 @@ import cma
 import numpy as np
 from numpy.typing import NDArray
 
-from nfpde.gap.fit import Fit
+from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.trial import LEAST_GAIN, LEVEL, Court
 
 Array = NDArray[np.float64]
@@ -33,8 +33,8 @@ def down_the_funnel(court: Court, fit: Fit) -> Fit:
     """The fit, or one that goes on from a better place that a population finds around it.
 
     Some looks tell whether costs rise around it as slopes foretell. Where they do not, a covariance matrix is adapted
-    (CMA-ES: Hansen, arXiv:1604.00772) from there on. The best of a hundred places between bumps is better by chance,
-    too: the half that no fit saw must agree.
+    (CMA-ES: Hansen, arXiv:1604.00772) from there on, on a part of the windows. The best of a hundred places between
+    bumps is better by chance, too: the half that no fit saw must agree.
 
     Args:
         court: Fits.
@@ -43,11 +43,13 @@ def down_the_funnel(court: Court, fit: Fit) -> Fit:
     if not fit.replay.nfree:
         return fit
     u, rng = fit.replay.inward(fit.xi[None])[0], np.random.default_rng(0)
-    wide = court.fitter.linearise(replace(fit, information=np.eye(len(u)), fresh=len(u)))
+    few, part = court.screening(fit)
+    part = few.rescale(part, fit.scatter)
+    wide = few.linearise(replace(part, information=np.eye(len(u)), fresh=len(u)))
     axes = _axes(wide.information)
-    if _rises_as_foretold(court, wide, u, axes, rng):
+    if _rises_as_foretold(few, wide, u, axes, rng):
         return fit
-    places = _searched(court, fit, u, BOLD * axes, rng)
+    places = _searched(few, part, u, BOLD * axes, rng)
     found = court.converged(court.fitter.start(fit.replay, fit.replay.outward(places), fit.scatter))
     if court.fitter.rescale(fit, found.scatter).cost - found.cost < LEAST_GAIN:
         return fit
@@ -55,13 +57,13 @@ def down_the_funnel(court: Court, fit: Fit) -> Fit:
     return found if sure else fit
 
 
-def _rises_as_foretold(court: Court, fit: Fit, u: Array, axes: Array, rng: np.random.Generator) -> bool:
+def _rises_as_foretold(fitter: Fitter, fit: Fit, u: Array, axes: Array, rng: np.random.Generator) -> bool:
     """Whether the cost rises around a fit's place (D,) as its slopes foretell, to a half or to chance."""
     z = np.concatenate([far * rng.normal(size=(population(len(u)), len(u))) for far in LOOKS])
     aside = np.clip(u + z @ axes.T, 0.0, 1.0)
-    rises, step = court.fitter.costs(fit.replay, aside, fit.scatter) - fit.cost, aside - u
+    rises, step = fitter.costs(fit.replay, aside, fit.scatter) - fit.cost, aside - u
     bent = 0.5 * np.einsum("gi,ij,gj->g", step, fit.information, step)
-    foretold = step @ court.fitter.gradient(fit, u) + bent
+    foretold = step @ fitter.gradient(fit, u) + bent
     return bool((np.abs(rises - foretold) <= np.maximum(LEAST_GAIN, 0.5 * bent)).all())
 
 
@@ -76,7 +78,7 @@ def _axes(information: Array) -> Array:
     return vectors / np.sqrt(np.maximum(values, 1.0))
 
 
-def _searched(court: Court, fit: Fit, start: Array, axes: Array, rng: np.random.Generator) -> Array:
+def _searched(fitter: Fitter, fit: Fit, start: Array, axes: Array, rng: np.random.Generator) -> Array:
     """The best place and the middle of the last population (2, D), in shares of the bounds."""
 
     def place(z: Array) -> Array:
@@ -86,7 +88,7 @@ def _searched(court: Court, fit: Fit, start: Array, axes: Array, rng: np.random.
     search, costs = cma.CMAEvolutionStrategy(np.zeros(len(start)), 1.0, options), list[float]()
     while len(costs) < GENERATIONS:
         population = np.array(search.ask())
-        there = court.fitter.costs(fit.replay, place(population), fit.scatter)
+        there = fitter.costs(fit.replay, place(population), fit.scatter)
         search.tell(list(population), there.tolist())
         costs.append(float(there.min()))
         if len(costs) > PATIENCE and min(costs[:-PATIENCE]) - min(costs[-PATIENCE:]) < LEAST_GAIN:

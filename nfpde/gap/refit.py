@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ STEPS = (0.3, 0.1)
 HOPEFUL = 0.5
 """Candidates that explain less than this share of what the best does are not fitted to the end."""
 
+PROMISING = 0.8
+"""Those that do less than this, fitted to the end, are not sent a population for, see `down_the_funnel`."""
+
 READINGS = 3
 """Readings of one effect that are refitted, at most: those that screening likes best."""
 
@@ -65,14 +68,19 @@ def refit(court: Court, base: Fit, screened: Sequence[Screened], *, touches: boo
     found.sort(key=lambda one: -one[0])
     first = among_readings([s.effect for _, s, _ in found], SECOND[touches])
     close = [(s, refitting.closer(fit)) for _, s, fit in (found[i] for i in first)]
-    most = max((base.cost - fit.cost for _, fit in close), default=0.0)
-    trials = []
-    for s, fit in close:
-        if base.cost - fit.cost >= HOPEFUL * most:
-            fit = court.converged(fit, kept=len(base.xi))
-            fit = down_the_funnel(court, fit) if touches else fit
-        trials.append(court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))))
+    close = _improved(close, base, HOPEFUL, lambda fit: court.converged(fit, kept=len(base.xi)))
+    if touches:
+        close = _improved(close, base, PROMISING, lambda fit: down_the_funnel(court, fit))
+    trials = [court.judge(s.effect, court.fitter.rescale(fit, court.scatter(fit))) for s, fit in close]
     return sorted(trials, key=lambda trial: -trial.density.mean())
+
+
+def _improved(
+    close: Sequence[tuple[Screened, Fit]], base: Fit, share: float, improve: Callable[[Fit], Fit]
+) -> list[tuple[Screened, Fit]]:
+    """Candidates and their fits, improved where they gain this share of what the best one does, else as they are."""
+    most = max((base.cost - fit.cost for _, fit in close), default=0.0)
+    return [(s, improve(fit) if base.cost - fit.cost >= share * most else fit) for s, fit in close]
 
 
 def _hopeful(screened: Sequence[Screened], count: int) -> list[Screened]:
