@@ -101,13 +101,14 @@ def test_a_pit_that_a_candidate_leads_out_of_is_not_its_gain(monkeypatch):
 
     half: Any = SimpleNamespace(windows=np.zeros(8))
     court = Court(np.arange(8) // 2, half, ANYTHING, np.zeros((1, 2)), np.zeros(1), ANYTHING)
+    exact = list[float]()
     for worth, gain in ((6.0, 6.0), (4.0, 0.0)):
 
         def refitted(
             court: Court, trial: Trial, guesses: np.ndarray, scatter: Any, least: float, worth: float = worth
         ) -> Trial:
             # the candidate finds its way from any place
-            assert least == LEAST_GAIN
+            exact.append(least)
             return made(trial, 1.0 if trial.effect is not None else float(guesses[:, 0].max() > 0.5), worth)
 
         monkeypatch.setattr("nfpde.gap.bootstrap._refitted", refitted)
@@ -118,6 +119,14 @@ def test_a_pit_that_a_candidate_leads_out_of_is_not_its_gain(monkeypatch):
         noise = NoiseAlone(court, current, np.zeros(2))
         noise._made.append((court, made(current, 0.0, worth)))
         assert noise.gain(candidate, 0) == gain
+        assert set(exact) == {LEAST_GAIN}
+        exact.clear()
+        # a twentieth of what all eight windows must gain tells as well whether noise gives it
+        again = NoiseAlone(court, current, np.zeros(2))
+        again._made.append((court, made(current, 0.0, worth)))
+        assert again.gain(candidate, 0, enough=100.0) == gain
+        assert set(exact) == {0.05 * 8 * 100.0}
+        exact.clear()
 
 
 class Touching(Selection):
