@@ -43,7 +43,6 @@ anything below that."""
 SHARES = (1.0, 0.3, 0.1, 0.01)
 """Of what a candidate was fitted to be, from which it is fitted to noise."""
 
-
 EXACT = 0.05
 """Share of what a candidate must gain, to which it is fitted to a draw: it is to be known whether noise gives as much,
 not how much it gives."""

@@ -79,7 +79,10 @@ def _axes(information: Array) -> Array:
 
 
 def _searched(fitter: Fitter, fit: Fit, start: Array, axes: Array, rng: np.random.Generator) -> Array:
-    """The best place and the middle of the last population (2, D), in shares of the bounds."""
+    """The best place and the middle of the last population (2, D), in shares of the bounds.
+
+    numpy's global generator, from which the library draws if it is let, is left alone.
+    """
 
     def place(z: Array) -> Array:
         return np.clip(start + z @ axes.T, 0.0, 1.0)
@@ -87,9 +90,9 @@ def _searched(fitter: Fitter, fit: Fit, start: Array, axes: Array, rng: np.rando
     options = {"verbose": -9, "seed": np.nan, "randn": lambda *shape: rng.normal(size=shape)}
     search, costs = cma.CMAEvolutionStrategy(np.zeros(len(start)), 1.0, options), list[float]()
     while len(costs) < GENERATIONS:
-        population = np.array(search.ask())
-        there = fitter.costs(fit.replay, place(population), fit.scatter)
-        search.tell(list(population), there.tolist())
+        asked = np.array(search.ask())
+        there = fitter.costs(fit.replay, place(asked), fit.scatter)
+        search.tell(list(asked), there.tolist())
         costs.append(float(there.min()))
         if len(costs) > PATIENCE and min(costs[:-PATIENCE]) - min(costs[-PATIENCE:]) < LEAST_GAIN:
             break

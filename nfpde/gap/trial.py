@@ -32,8 +32,8 @@ POLISHED = 4
 """Turns of a fit to the end at most."""
 
 STEPS_OF = 20.0
-"""Steps of a fit that are worth a turn: where more than chance is needed to count, a step that gains a smaller part of
-that is the last of its turn."""
+"""Part of what counts that a step must gain, or it is the last of its turn, where more than chance is needed to count:
+one in so many."""
 
 SCREENED, GLANCED = (60, 3 / 8), (20, 1 / 8)
 """Windows that candidates are screened on, and glanced at: at least so many, and this share of all."""
@@ -102,7 +102,7 @@ class Court:
         return self.fitter.rescale(fit, self.scatter(fit))
 
     def converged(self, fit: Fit, kept: int = 0, least: float = LEAST_GAIN) -> Fit:
-        """Fitted to the end: until a turn gains less than what counts [nats], at first no more than chance."""
+        """Fitted to the end: until a turn gains less than what counts [nats], which is chance unless told otherwise."""
         last = LAST if least <= LEAST_GAIN else least / STEPS_OF
         for _ in range(POLISHED):
             found = self.settle(fit, iterations=6, kept=kept, last=last)
