@@ -26,7 +26,10 @@ _ROUGH = 3.0
 many of these are more than 2 c, and no plateau is taken for a rise."""
 
 _FARTHER = 4
-"""Doublings for which a rise must last; those beyond are not looked at."""
+"""Doublings for which a rise must last at least; those beyond are not looked at once windows object."""
+
+_OBJECTS = 4.0
+"""Nats by which they must then, in the mean: pits are as deep as bumps are many."""
 
 
 def standard_errors(court: Court, fit: Fit) -> Array:
@@ -38,7 +41,9 @@ def standard_errors(court: Court, fit: Fit) -> Array:
     foretold there and from there on, and only becomes steeper: the largest miss of that axis so far, or the root mean
     square at one distance of all axes of which no rise is sure there, whichever is larger. The least cost lies wherever
     the rise is of the order of R, so the likelihood counts as its (1 + 3 R)-th root, and the error of an axis is where
-    that has fallen by half a nat for good. Nothing is known better than slopes foretell, nor worse than the prior.
+    that has fallen by half a nat for good: the wall of a pit rises as slopes foretell, and then no more. What lasts of
+    a rise is what is left of it where it grows by less than the distance farther out, up to a nat a window, from where
+    on all there is to lose may be lost. Nothing is known better than slopes foretell, nor worse than the prior.
 
     Args:
         court: Of the windows that it was fitted to, and of those held out.
@@ -64,25 +69,27 @@ def standard_errors(court: Court, fit: Fit) -> Array:
     scales = np.array([NEAREST * 2.0**k for k in range(doublings)])
     open_ones = np.ones(len(axes), dtype=bool)
     rises = np.array([rise(s, open_ones) for s in scales[:2]])
-    stretch, since = _stretch(rises, scales, widest)
+    stretch, since = _stretch(rises, scales, widest, len(fit.residuals))
     while len(rises) < len(scales):
-        open_ones &= (since < _FARTHER) & (scales[len(rises) - 1] < widest)
+        told = (since >= _FARTHER) & (rises[-1] >= _OBJECTS * len(fit.residuals))
+        open_ones &= ~told & (scales[len(rises) - 1] < widest)
         if not open_ones.any():
             break
         rises = np.vstack([rises, rise(scales[len(rises)], open_ones)])
-        stretch, since = _stretch(rises, scales, widest)
+        stretch, since = _stretch(rises, scales, widest, len(fit.residuals))
     across = stretch[:, None] * axes
     wide = np.sqrt(((across @ replay.outward_slopes(fit.xi).T) ** 2).sum(0))
     return np.maximum(local, wide)
 
 
-def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray[np.intp]]:
+def _stretch(rises: Array, scales: Array, widest: Array, windows: int) -> tuple[Array, NDArray[np.intp]]:
     """By how much the axes are longer than slopes foretell (D,), and for how many distances their rise has lasted (D,).
 
     Args:
         rises: Of the cost, at the first of the distances (S, D); infinite where they were not looked at any more.
         scales: All distances.
         widest: Where each axis is as long as the prior's (D,).
+        windows: How many there are.
     """
     count, every = len(rises) - 1, np.arange(rises.shape[1])
     seen = np.isfinite(rises)
@@ -90,8 +97,11 @@ def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray
     # what rises faster and faster, and all the way at least as foretold, is no jump: cosines, and products at zero
     steep = np.logical_and.accumulate((rises >= 0.5 * scales[: count + 1, None] ** 2)[::-1])[::-1][:-1]
     misses = np.where((scales[:count, None] < widest) & ~(steep & (apart < 0)), np.abs(apart), 0.0)
-    # the least rise from each distance on: one that is taken back farther out was a jump
-    lasting = np.minimum.accumulate(rises[::-1])[::-1][:-1]
+    # the least that is left of each rise farther out: one that is taken back there was a jump, one that stops a pit
+    distance = np.minimum(scales[: count + 1, None], widest)
+    steepness = np.where(rises < windows, rises / distance, np.inf)
+    left = np.minimum(distance * _least_from_there_on(steepness), _least_from_there_on(rises))
+    lasting = left[:-1]
     alone = np.maximum.accumulate(misses)
     sure = 2 * lasting >= 1.0 + _ROUGH * alone
     # an axis whose rise is sure shows no more than how steep it is
@@ -102,3 +112,8 @@ def _stretch(rises: Array, scales: Array, widest: Array) -> tuple[Array, NDArray
     first, any_ = told.argmax(0), told.any(0)
     stretch = scales[first] * np.sqrt(root[first, every] / np.maximum(2 * rises[first, every], 1e-300))
     return np.where(any_, np.minimum(stretch, widest), widest), np.where(any_, count - first, 0)
+
+
+def _least_from_there_on(values: Array) -> Array:
+    """The least of what is at each distance and farther out (S, D)."""
+    return np.minimum.accumulate(values[::-1])[::-1]

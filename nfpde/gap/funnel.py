@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.gap.fit import Fit, Fitter
-from nfpde.gap.trial import LEAST_GAIN, LEVEL, Court
+from nfpde.gap.trial import LEAST_GAIN, Court
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,9 @@ that these foretell."""
 BOLD = 30.0
 """Spread of the first population, in these errors: slopes over bumps foretell too small ones."""
 
+AGREES = 0.5
+"""Share of what a better place gains in the half that it was fitted to, by which the other must gain from it, too."""
+
 GENERATIONS, PATIENCE = 24, 4
 """Generations of a search at most, and those without a gain after which it ends."""
 
@@ -34,7 +37,8 @@ def down_the_funnel(court: Court, fit: Fit) -> Fit:
 
     Some looks tell whether costs rise around it as slopes foretell. Where they do not, a covariance matrix is adapted
     (CMA-ES: Hansen, arXiv:1604.00772) from there on, on a part of the windows. The best of a hundred places between
-    bumps is better by chance, too: the half that no fit saw must agree.
+    bumps is better by chance, too: the half that no fit saw must agree. A place lower in the funnel is lower in both
+    halves; one that is the best of a hundred in one half is as high as any in the other.
 
     Args:
         court: Fits.
@@ -51,10 +55,11 @@ def down_the_funnel(court: Court, fit: Fit) -> Fit:
         return fit
     places = _searched(few, part, u, BOLD * axes, rng)
     found = court.converged(court.fitter.start(fit.replay, fit.replay.outward(places), fit.scatter))
-    if court.fitter.rescale(fit, found.scatter).cost - found.cost < LEAST_GAIN:
+    gain = fit.cost - found.cost
+    if gain < LEAST_GAIN:
         return fit
-    sure = court.gain(court.judge(None, found), court.judge(None, fit))[2] <= LEVEL
-    return found if sure else fit
+    agrees = court.judge(None, found).density.mean() - court.judge(None, fit).density.mean()
+    return found if agrees >= AGREES * gain / len(fit.residuals) else fit
 
 
 def _rises_as_foretold(fitter: Fitter, fit: Fit, u: Array, axes: Array, rng: np.random.Generator) -> bool:

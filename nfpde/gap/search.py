@@ -233,12 +233,12 @@ class Search:
         show: where one stands out in long ones, it is asked about there.
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
-        if asks_again(_moved(found.selection, stage), stage, found):
+        final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
+        if asks_again(_moved(found.selection, stage), stage, final, found):
             self.report("the longest windows, which tell more")
-            stage, found = self._told_by(stage, found)
+            stage, found, final = self._told_by(stage, found, final)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
         selection = replace(selection, by_noise={}, scores={})
-        final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
         final, accepted = selection.useful(stage.base, final, found.accepted)
         selection.ranking[:] = [stage.shown(t, refitted=False) for t in selection.ranking]
         over = replace(found, selection=selection, final=final, accepted=accepted)
@@ -251,18 +251,18 @@ class Search:
             over = replace(over, selection=replace(selection, steps=asked.steps, level=asked.level))
         return stage, over
 
-    def _told_by(self, stage: Stage, found: Found) -> tuple[Stage, Found]:
+    def _told_by(self, stage: Stage, found: Found, shown: Trial) -> tuple[Stage, Found, Trial]:
         """What was found as the longest windows have it, and what they ask for beside it; as it was if nothing is left.
 
         How well values are known is left to the short ones: slopes that are sharper than jumps are far apart would have
         it that long ones know them to a thousandth.
         """
         selection = replace(_looking_again(found.selection), far=None, last=False, below=False)
-        by, selection, final, accepted = self._select(stage, selection, (found.final, found.accepted))
+        by, selection, final, accepted = self._select(stage, selection, (shown, found.accepted))
         found.selection.steps = selection.steps
         if not accepted:
-            return stage, found
-        return by, replace(found, selection=selection, final=final, accepted=accepted)
+            return stage, found, shown
+        return by, replace(found, selection=selection, final=final, accepted=accepted), final
 
     def _by_free_joints(self, stage: Stage, found: Found) -> Found:
         """What joints that touch nothing ask for over the longest windows, where all joints together ask for nothing.

@@ -62,14 +62,17 @@ class Stage:
 
         Args:
             trial: Its free parameters count.
-            refitted: Whether they are fitted to these windows too, where that leaves less over.
+            refitted: Whether they are fitted to these windows too, past bumps, where that leaves less over.
         """
         court, replay = self.court, trial.fit.replay
         fit = court.fitter.start(replay, trial.fit.xi[None], self.base.fit.scatter)
         fit = replace(fit, information=trial.fit.information)  # says over which steps slopes are slopes
         fit = court.fitter.rescale(fit, court.scatter(fit))
         if refitted:
-            fit = min((fit, court.settle(fit)), key=lambda f: float(self.yardstick.gap(f.residuals).mean()))
+            settled = court.settle(fit)
+            if court.capped and replay.effects:
+                settled = down_the_funnel(court, court.converged(settled))
+            fit = min((fit, settled), key=lambda f: float(self.yardstick.gap(f.residuals).mean()))
         return court.judge(trial.effect, fit)
 
 

@@ -26,7 +26,7 @@ TWICE = 0.5
 contacts are known to some tenths, and windows that tell as much tell nothing new."""
 
 
-def asks_again(selection: Selection, longer: Stage, found: Found) -> bool:
+def asks_again(selection: Selection, longer: Stage, shown: Trial, found: Found) -> bool:
     """Whether longer windows may say something else of what was found, and tell more of it.
 
     They may where others do nearly the same, where one effect may make up for another, and where more than noise is
@@ -35,15 +35,16 @@ def asks_again(selection: Selection, longer: Stage, found: Found) -> bool:
     Args:
         selection: On these windows.
         longer: The windows.
+        shown: What was found, fitted to them.
         found: On shorter ones.
     """
     if not found.accepted:
         return False
-    doubtful = found.doubtful or not selection.at_floor(longer.shown(found.final, refitted=True))
-    return doubtful and tells_more(longer, found.near, found.final)
+    doubtful = found.doubtful or not selection.at_floor(shown)
+    return doubtful and tells_more(longer, shown, found.near, found.final)
 
 
-def tells_more(longer: Stage, near: Stage, found: Trial) -> bool:
+def tells_more(longer: Stage, shown: Trial, near: Stage, found: Trial) -> bool:
     """Whether windows tell more of the values of effects than those on which they were found.
 
     Every effect has a part in it: the variances count by the geometric mean of their ratios over what decides about its
@@ -51,10 +52,11 @@ def tells_more(longer: Stage, near: Stage, found: Trial) -> bool:
 
     Args:
         longer: The windows.
+        shown: Parameters and effects, fitted to them.
         near: Those on which the effects were found.
-        found: Parameters and effects.
+        found: Parameters and effects as they are there.
     """
-    ratio = _log_errors(longer, longer.shown(found, refitted=True)) - _log_errors(near, found)
+    ratio = _log_errors(longer, shown) - _log_errors(near, found)
     return len(ratio) > 0 and 2.0 * float(ratio.mean()) < math.log(TWICE)
 
 
