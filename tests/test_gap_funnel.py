@@ -79,13 +79,17 @@ def test_in_smooth_motion_it_looks_once_and_leaves_the_fit_alone():
     assert fit.cost <= again.cost + LEAST_GAIN
 
 
-def test_the_half_that_no_fit_saw_must_agree():
-    """Where it shows the end of the slopes to be right, a better place in the other half is one of chance."""
+@pytest.mark.parametrize(("share", "stands"), [(1.0, True), (0.9, True), (0.65, False), (0.0, False)])
+def test_the_half_that_no_fit_saw_must_agree(share, stands):
+    """Where its truth lies on the way to that of the other half: of what that gains, (2 share - 1), it gains itself.
+
+    At none it shows the end of the slopes to be right, and a better place in the other half is one of chance.
+    """
     replay: Any = Rough(bumps=2.0)
     court, stuck = fitted(replay, [0.45, 0.45, 0.6])
     assert down_the_funnel(court, stuck) is not stuck
-    replay.elsewhere = stuck.xi
-    assert down_the_funnel(court, stuck) is stuck
+    replay.elsewhere = stuck.xi + share * (replay.truth - stuck.xi)
+    assert (down_the_funnel(court, stuck) is not stuck) is stands
 
 
 def test_random_numbers_of_others_stay_as_they_are():
