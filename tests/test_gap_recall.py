@@ -11,6 +11,7 @@ from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.recall import Recall
 from nfpde.gap.replay import Replay
+from nfpde.gap.shelf import Shelf
 from nfpde.parameters import Parameter, ParameterSpace
 from tests.gap_systems import nominal, record
 
@@ -136,7 +137,7 @@ def test_a_diagnosis_is_the_same_without_it(monkeypatch):
         return content.pop("simulated_steps"), content
 
     steps, kept = answer()
-    monkeypatch.setattr(Recall, "_keep", lambda *_: None)
+    monkeypatch.setattr(Shelf, "put", lambda *_: None)
     all_steps, simulated = answer()
     assert kept == simulated
     assert steps < 0.9 * all_steps

@@ -7,7 +7,6 @@ a tenth to a quarter of all that a diagnosis asks for it has asked for before.
 from __future__ import annotations
 
 import weakref
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from hashlib import blake2b
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.gap.shelf import Shelf
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,7 @@ class Recall:
     """
 
     def __init__(self, most: int = MOST) -> None:
-        self._most, self._count = most, 0
-        self._kept: OrderedDict[Hashable, Array] = OrderedDict()
+        self._kept = Shelf(most)
         self._digests: dict[int, tuple[weakref.ref[Array], bytes]] = {}
 
     def predict(self, who: Hashable, simulate: Callable[[Array, Windows], Array], xi: Array, windows: Windows) -> Array:
@@ -48,14 +47,17 @@ class Recall:
         what = (who, windows.control_dt, _digest(windows.state[:, 0]), *map(self._digest, _commands(windows)))
         names = [(what, row.tobytes()) for row in np.ascontiguousarray(xi)]
         index = {name: i for i, name in enumerate(names)}
-        found = {name: self._kept[name] for name in index if name in self._kept}
+        kept = ((name, self._kept.get(name)) for name in index)
+        found = {name: there for name, there in kept if there is not None}
         lacking = [name for name in index if name not in found]
-        if lacking:
-            new = simulate(xi[[index[name] for name in lacking]], windows)
-            found.update(zip(lacking, new, strict=True))
-            for name in lacking:
-                self._keep(name, found[name])
-        return np.stack([found[name] for name in names])
+        if not lacking:
+            return np.stack([found[name] for name in names])
+        new = simulate(xi[[index[name] for name in lacking]], windows)
+        found.update(zip(lacking, new, strict=True))
+        out = np.stack([found[name] for name in names])
+        for name in lacking:
+            self._kept.put(name, found[name])
+        return out
 
     def _digest(self, array: Array) -> bytes:
         """Stands for the numbers of an array that nobody writes to; taken once as long as it lives."""
@@ -66,14 +68,6 @@ class Recall:
         digest = _digest(array)
         self._digests[name] = weakref.ref(array, lambda _: self._digests.pop(name, None)), digest
         return digest
-
-    def _keep(self, name: Hashable, predicted: Array) -> None:
-        if predicted.size > self._most:
-            return
-        self._kept[name] = predicted.copy()  # a view would keep all of the batch that it came with
-        self._count += predicted.size
-        while self._count > self._most:
-            self._count -= self._kept.popitem(last=False)[1].size
 
 
 def _commands(windows: Windows) -> tuple[Array, Array, Array]:
