@@ -14,12 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
+from nfpde.gap.heap import give_back
 from nfpde.gap.shelf import Shelf
 
 Array = NDArray[np.float64]
 
 MOST = 1 << 25
 """Numbers kept at most, 256 MiB; the oldest are forgotten first."""
+
+TRIMMED = 1 << 23
+"""Numbers predicted, 64 MiB, after which what was freed in the meantime is given back."""
 
 
 class Recall:
@@ -30,7 +34,7 @@ class Recall:
     """
 
     def __init__(self, most: int = MOST) -> None:
-        self._kept = Shelf(most)
+        self._kept, self._made = Shelf(most), 0
         self._digests: dict[int, tuple[weakref.ref[Array], bytes]] = {}
 
     def predict(self, who: Hashable, simulate: Callable[[Array, Windows], Array], xi: Array, windows: Windows) -> Array:
@@ -57,6 +61,10 @@ class Recall:
         out = np.stack([found[name] for name in names])
         for name in lacking:
             self._kept.put(name, found[name])
+        self._made += new.size
+        if self._made >= TRIMMED:
+            self._made = 0
+            give_back()
         return out
 
     def _digest(self, array: Array) -> bytes:
