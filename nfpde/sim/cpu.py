@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,6 +30,13 @@ from nfpde.sim.quiet import quiet_mujoco
 from nfpde.sim.simulator import Array, Simulator, rows_at_once
 from nfpde.sim.states import StateSpace
 from nfpde.sim.writer import ModelWriter
+
+_AT_HAND = 4
+"""Simulators that keep their batch, those that were used last: a quadruped's holds some ten MB, and a diagnosis has
+hundreds of simulators."""
+
+_lately: list[weakref.ref[MujocoSimulator]] = []
+"""These, the last one last."""
 
 
 class MujocoSimulator(Simulator):
@@ -204,9 +212,19 @@ class MujocoSimulator(Simulator):
             size = 1 << (n - 1).bit_length()
             self._batch = batch = mujoco.batch.Batch(self.model, size, self.nthread)
             self._rest = batch.state[0].copy()
+        self._keep_at_hand()
         batch.state[:n] = self._rest
         batch.warning[:n] = 0
         return batch
+
+    def _keep_at_hand(self) -> None:
+        """Count as used last; whoever was not used for longest gives its batch back."""
+        others = [ref for ref in _lately if ref() not in (None, self)]
+        for ref in others[: 1 - _AT_HAND]:
+            simulator = ref()
+            if simulator is not None:
+                simulator.release()
+        _lately[:] = [*others[1 - _AT_HAND :], weakref.ref(self)]
 
 
 def _step(batch: mujoco.batch.Batch, ids: NDArray[np.intp], nstep: int) -> None:
