@@ -29,8 +29,19 @@ class _Scratch:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
-        self.data = mujoco.MjData(model)
+        self._data: mujoco.MjData | None = None
         self._views: dict[str, NDArray[Any]] = {}
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """What MuJoCo computes with, made when it is needed."""
+        if self._data is None:
+            self._data = mujoco.MjData(self.model)
+        return self._data
+
+    def release(self) -> None:
+        """Let go of it: hundreds of models in one process would hold some ten MB each."""
+        self._data = None
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         view = self._views.get(name)
@@ -120,6 +131,7 @@ class ModelWriter:
                 self._set_const(self._scratch, vector)
             for name, array in out.items():
                 array[m] = self._scratch[name]
+        self._scratch.release()
         return out
 
     def written_rows(self, xi: Array) -> dict[str, Array]:
