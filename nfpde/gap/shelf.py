@@ -14,8 +14,7 @@ Array = NDArray[np.float64]
 class Shelf:
     """Arrays in one block of memory, the oldest of which make room.
 
-    Thousands that lived as long by themselves, between what is made and dropped in the meantime, would leave holes that
-    nothing fits into: a quadruped took 8 GB.
+    Thousands that lived as long by themselves would pin the heap around what is made and dropped in the meantime.
 
     Args:
         most: Numbers that it holds.
