@@ -298,6 +298,17 @@ def test_pairs_go_by_the_lesser_size_and_outsiders_by_their_own():
     assert "| 3 to 10 | 0 |  |  |  | 0 |  | 1 | 100.0 % |" in page
 
 
+def test_a_page_of_sound_robots_says_nothing_of_faults():
+    """What is counted over hidden faults has no number there, and no empty tables."""
+    rows = [judge(key_of("none"), "done", 9.0, diagnosis(verdict)) for verdict in ("no_gap", "no_gap", "unexplained")]
+    facts = {"command": "c", "seed": 1, "code": "0f", "versions": {}, "machine": "m", "device": "cpu", "cases": 3}
+    page = table(rows, facts, "gap.png")
+    assert page.startswith("# Diagnosis of sound robots\n")
+    assert "| alarms on controls | <= 2 % | 33.3 % |" in page
+    assert "Cases right: 2 of 3.\n" in page
+    assert not any(word in page for word in ("nan", "gap.png", "## By size", "## By effect", "without the declared"))
+
+
 def test_wilson_intervals():
     """The published example of 0.2 of 10: 0.057 to 0.51."""
     assert wilson(0.2, 10) == (pytest.approx(0.0567, abs=1e-4), pytest.approx(0.5098, abs=1e-4))

@@ -19,6 +19,7 @@ from nfpde.bench.gap.draw import KINDS, draw_system
 from nfpde.bench.gap.kept import fingerprint, kept_rows
 from nfpde.bench.gap.score import Row, judge
 from nfpde.bench.gap.store import write_key, write_public
+from nfpde.bench.gap.summary import faulty
 from nfpde.bench.gap.table import summary, table
 from nfpde.bench.gap.workers import stop, unless_ended, workers
 from nfpde.errors import BadInput
@@ -46,7 +47,7 @@ def run(
     device: str = "auto",
     kind: str | None = None,
 ) -> list[Row]:
-    """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and gap.png.
+    """Run all cases that are not finished, judge all, print a table, write gap.md, gap.json and the curve gap.png.
 
     Finished is what lies in the folder, and what a gap.json in `out` tells of the same systems, settings and code; all
     that it tells stays in the table. One of others is never replaced.
@@ -200,4 +201,5 @@ def _write(rows: list[Row], facts: dict[str, Any], out: Path, name: str) -> None
     text = table(rows, facts, f"{name}.png")
     print(text)
     write_whole(out / f"{name}.md", text)
-    draw_curve(rows, out / f"{name}.png")
+    if faulty(rows):
+        draw_curve(rows, out / f"{name}.png")

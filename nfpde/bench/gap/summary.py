@@ -40,6 +40,11 @@ def of_kind(rows: Sequence[Row], *kinds: str) -> list[Row]:
     return [row for row in rows if row.kind in kinds]
 
 
+def faulty(rows: Sequence[Row]) -> bool:
+    """Whether any fault is hidden in these systems; there are tables of sound robots alone."""
+    return any(row.kind != "none" for row in rows)
+
+
 def figures(rows: Sequence[Row]) -> list[Figure]:
     """The figures that have targets, in the order of the table."""
     one, none, two, out = (of_kind(rows, kind) for kind in ("one", "none", "two", "outsider"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,16 +13,24 @@ from nfpde.bench.gap.summary import (
     by_size,
     confusion,
     coverage,
+    faulty,
     figures,
     of_kind,
     rate,
     wilson,
 )
 
-INTRODUCTION = (
+ROBOTS = (
     "Robots with a hidden fault, recorded with noisy sensors and, in two systems of three, with masses and dampings "
-    "that are off. The faults are built with MuJoCo alone, apart from the package's effects and in other ways; the "
-    "diagnosis gets the model, the parameters with bounds and the recordings, and nothing else. A cause is right when "
+    "that are off. The faults are built with MuJoCo alone, apart from the package's effects and in other ways; the"
+)
+SOUND = (
+    "Robots without a fault, recorded with noisy sensors and, in two systems of three, with masses and dampings that "
+    "are off. The"
+)
+GETS = "diagnosis gets the model, the parameters with bounds and the recordings, and nothing else."
+INTRODUCTION = (
+    f"{GETS} A cause is right when "
     "the effect named first is the hidden one or declares it indistinguishable; `alone` leaves those sets out. Sizes "
     "are root mean squares over windows of ten steps, over the noise of such a prediction, after the free parameters "
     "have taken what they can. Errors of values are relative to the value, of factors to their distance from 1, of "
@@ -56,46 +63,22 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
         facts: command, seed, code, versions, machine and device, and how many cases there are when all are finished.
         curve: file name of the picture.
     """
-    failed = [row for row in rows if not row.right]
-    one = of_kind(rows, "one")
-    alone, sets = rate(one, lambda r: r.alone), sum(row.set_size for row in one) / len(one) if one else math.nan
-    extra = rate(of_kind(rows, "one", "two"), lambda r: r.extra > 0)
-    steps = sum(row.steps for row in rows)
-    stopped = f" Stopped after {len(rows)} of {facts['cases']} systems." if len(rows) < facts["cases"] else ""
+    failed, hidden = [row for row in rows if not row.right], faulty(rows)
     return "\n".join(
         [
-            "# Diagnosis of hidden faults",
+            "# Diagnosis of hidden faults" if hidden else "# Diagnosis of sound robots",
             "",
-            INTRODUCTION,
+            f"{ROBOTS if hidden else SOUND} {INTRODUCTION if hidden else GETS}",
             "",
             "| figure | wanted | measured | 95 % interval | cases | met |",
             "|---|---|---|---|---|---|",
             *map(_figure, figures(rows)),
             "",
-            f"Right cause without the declared sets: {_percent(alone)}; effects in a set: {sets:.1f} on average. "
-            f"More effects accepted than hidden: {_percent(extra)} of the cases that have one or two. "
-            f"Gap at most 1.2 noise floors in the end: {_percent(at_floor(rows))} of all but outsiders. "
-            f"Simulated steps in all: {steps:.3g}. Cases right: {len(rows) - len(failed)} of {len(rows)}.{stopped}",
+            " ".join(_told(rows, facts["cases"])),
             "",
             f"Stated 95 % intervals hold the true value in {_coverage(rows)}.",
             "",
-            "## By size of the effect over the noise",
-            "",
-            f"![accuracy by size]({curve})",
-            "",
-            "A pair goes by the lesser of its two sizes.",
-            "",
-            "| size | cases | right cause | right place | error of values, median | pairs | both found | outsiders "
-            "| unexplained |",
-            "|---|---|---|---|---|---|---|---|---|",
-            *map(_size, by_size(rows)),
-            "",
-            "## By effect",
-            "",
-            "| hidden | cases | right | alone | right place | error of values, median | size, median | in the set |",
-            "|---|---|---|---|---|---|---|---|",
-            *map(_effect, by_effect(rows)),
-            "",
+            *(_by_fault(rows, curve) if hidden else []),
             "## By robot",
             "",
             "| robot | cases | right | seconds, median |",
@@ -125,6 +108,46 @@ def table(rows: Sequence[Row], facts: Mapping[str, Any], curve: str) -> str:
             "",
         ]
     )
+
+
+def _told(rows: Sequence[Row], cases: int) -> list[str]:
+    """The figures that have no goal, in sentences."""
+    one, faulty, told = of_kind(rows, "one"), of_kind(rows, "one", "two"), list[str]()
+    if one:
+        alone, sets = rate(one, lambda r: r.alone), sum(row.set_size for row in one) / len(one)
+        told.append(
+            f"Right cause without the declared sets: {_percent(alone)}; effects in a set: {sets:.1f} on average."
+        )
+    if faulty:
+        extra = rate(faulty, lambda r: r.extra > 0)
+        told.append(f"More effects accepted than hidden: {_percent(extra)} of the cases that have one or two.")
+    if of_kind(rows, "one", "two", "none"):
+        told.append(f"Gap at most 1.2 noise floors in the end: {_percent(at_floor(rows))} of all but outsiders.")
+    told.append(f"Simulated steps in all: {sum(row.steps for row in rows):.3g}.")
+    told.append(f"Cases right: {sum(row.right for row in rows)} of {len(rows)}.")
+    return told + ([f"Stopped after {len(rows)} of {cases} systems."] if len(rows) < cases else [])
+
+
+def _by_fault(rows: Sequence[Row], curve: str) -> list[str]:
+    return [
+        "## By size of the effect over the noise",
+        "",
+        f"![accuracy by size]({curve})",
+        "",
+        "A pair goes by the lesser of its two sizes.",
+        "",
+        "| size | cases | right cause | right place | error of values, median | pairs | both found | outsiders "
+        "| unexplained |",
+        "|---|---|---|---|---|---|---|---|---|",
+        *map(_size, by_size(rows)),
+        "",
+        "## By effect",
+        "",
+        "| hidden | cases | right | alone | right place | error of values, median | size, median | in the set |",
+        "|---|---|---|---|---|---|---|---|",
+        *map(_effect, by_effect(rows)),
+        "",
+    ]
 
 
 def _coverage(rows: Sequence[Row]) -> str:
