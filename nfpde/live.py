@@ -42,6 +42,8 @@ class LivePhysics:
         space: the parameters, those of effects last.
         observes: whether what sensors report is to be seen in the environment's observations.
 
+    A step that goes past `do_simulation`, or past `_get_obs` where sensors are off, is refused once it is made.
+
     Raises:
         BadInput: no MuJoCo environment, or one that is wrapped already.
         BadParameter, BadEffect: the model lacks an element of the space, or an effect cannot act in this environment.
@@ -72,6 +74,8 @@ class LivePhysics:
         self._effects = self._effects_at(None)
         self._before_step: BeforeStep | None = None
         self._past: Array | None = None
+        self._simulated = self._observed = 0  # calls of what is replaced, of which every step has to make some
+        self._observed_before = 0
         self._install()  # before which nothing of the environment has changed, should it be refused
         options.solver, options.disableflags = nominal.opt.solver, nominal.opt.disableflags
 
@@ -110,9 +114,15 @@ class LivePhysics:
             writer.write(model, xi)
         self._effects = self._effects_at(xi)
         self._past = self._before_step = None
+        self._observed_before = self._observed
 
     def start(self) -> None:
-        """Forget what effects and solver remember of the last episode; to be called after the inner reset."""
+        """Forget what effects and solver remember of the last episode; to be called after the inner reset.
+
+        Raises:
+            BadEffect: sensors are off, and the reset did not ask `_get_obs` what they say.
+        """
+        self._check_observed("reset", self._observed_before)
         model, data = self.env.model, self.env.data
         data.qacc_warmstart[:] = 0.0
         if self._before_step is not None:  # the environment let the robot settle: effects may have changed fields
@@ -132,7 +142,7 @@ class LivePhysics:
 
     def _uninstall(self) -> None:
         self.env.model.opt.solver, self.env.model.opt.disableflags = self._own_options
-        for name in ("do_simulation", "_get_obs"):
+        for name in ("do_simulation", "_get_obs", "step"):
             vars(self.env).pop(name, None)
 
     def _effects_at(self, xi: Array | None) -> RowEffects:
@@ -146,10 +156,31 @@ class LivePhysics:
             self._check_observation()
             self._own_observation = self.env._get_obs
             self.env._get_obs = self._observe
-        self._own_simulation = self.env.do_simulation
-        self.env.do_simulation = self._simulate
+        self._own_simulation, self._own_step = self.env.do_simulation, self.env.step
+        self.env.do_simulation, self.env.step = self._simulate, self._step
+
+    def _step(self, action: Any) -> Any:
+        """The environment's own step, seen to go through what is replaced here."""
+        simulated, observed = self._simulated, self._observed
+        result = self._own_step(action)
+        if self._simulated == simulated:
+            raise (BadEffect if self._bound.effects else BadInput)(
+                f"environment {self.label}: its step() made no call of do_simulation, where effects act and a "
+                "simulation that diverges is seen; let every step call self.do_simulation(ctrl, self.frame_skip)"
+            )
+        self._check_observed("step", observed)
+        return result
+
+    def _check_observed(self, method: str, before: int) -> None:
+        if self._on_sensor and self._observes and self._observed == before:
+            names = ", ".join(sorted({e.name for e in self._on_sensor}))
+            raise BadEffect(
+                f"environment {self.label}: its {method}() made no call of _get_obs, where effects on sensors act "
+                f"({names}); let it return the observation that self._get_obs() gives"
+            )
 
     def _simulate(self, ctrl: Any, n_frames: int) -> None:
+        self._simulated += 1
         data = self.env.data
         data.warning.number[:] = 0  # MuJoCo counts from 0 again where it starts a simulation afresh
         with quiet_mujoco():
@@ -199,6 +230,7 @@ class LivePhysics:
 
     def _observe(self) -> Any:
         """The environment's observation, computed from the measured state."""
+        self._observed += 1
         data, nq = self.env.data, self.env.model.nq
         true, measured = np.concatenate([data.qpos, data.qvel]), self.measured()
         try:
@@ -219,23 +251,28 @@ class LivePhysics:
             self._refuse("it has no method _get_obs, so effects on sensors cannot act in it")
         stream = self.env.np_random.bit_generator
         before = stream.state
-        self.env.reset()  # an observation may hold what only a reset makes, a goal for example
-        stream.state = before
+        try:
+            self.env.reset()  # an observation may hold what only a reset makes, a goal for example
+        finally:
+            stream.state = before
         data, model = self.env.data, self.env.model
         saved = np.concatenate([data.qpos, data.qvel])
-        first = np.array(self.env._get_obs(), dtype=np.float64)
-        rng = np.random.default_rng(0)
-        other = model.qpos0.copy()
-        mujoco.mj_integratePos(model, other, rng.normal(size=model.nv), 1.0)
-        data.qpos[:], data.qvel[:] = other, rng.normal(size=model.nv)
-        data.ctrl[:] = rng.normal(size=model.nu)
-        mujoco.mj_forward(model, data)
-        mujoco.mj_rnePostConstraint(model, data)
-        data.qpos[:], data.qvel[:] = saved[: model.nq], saved[model.nq :]
-        second = np.array(self.env._get_obs(), dtype=np.float64)
-        data.ctrl[:] = 0.0
-        mujoco.mj_forward(model, data)
-        if first.shape != second.shape or not np.array_equal(first, second):
+        try:
+            first = numbers_of(self.env._get_obs())
+            rng = np.random.default_rng(0)
+            other = model.qpos0.copy()
+            mujoco.mj_integratePos(model, other, rng.normal(size=model.nv), 1.0)
+            data.qpos[:], data.qvel[:] = other, rng.normal(size=model.nv)
+            data.ctrl[:] = rng.normal(size=model.nu)
+            mujoco.mj_forward(model, data)
+            mujoco.mj_rnePostConstraint(model, data)
+            data.qpos[:], data.qvel[:] = saved[: model.nq], saved[model.nq :]
+            second = numbers_of(self.env._get_obs())
+        finally:
+            data.qpos[:], data.qvel[:] = saved[: model.nq], saved[model.nq :]
+            data.ctrl[:] = 0.0
+            mujoco.mj_forward(model, data)
+        if not np.array_equal(first, second):
             self._refuse(
                 "its observation holds more than qpos and qvel (forces, inertias, positions of sites ...), which no "
                 "sensor effect describes; switch those parts of the observation off"
@@ -245,6 +282,16 @@ class LivePhysics:
         names = ", ".join(sorted({e.name for e in self._bound.effects}))
         self._uninstall()
         raise BadEffect(f"environment {self.label}: {reason}. Effects of the space: {names}")
+
+
+def numbers_of(observation: Any) -> Array:
+    """All numbers of an observation in a row, those of its parts one behind the other."""
+    if isinstance(observation, dict):
+        observation = tuple(observation[key] for key in sorted(observation))
+    if isinstance(observation, tuple):
+        return np.concatenate([numbers_of(part) for part in observation] or [np.empty(0)])
+    array = np.asarray(observation)
+    return array.astype(np.float64).ravel() if array.dtype.kind in "biuf" else np.empty(0)
 
 
 def _mujoco_env() -> type:

@@ -78,9 +78,21 @@ def test_other_policies_get_no_more_than_they_take():
     evaluate(with_state)
     assert states[:3] == [None, 1, 2]
     evaluate(lambda *arguments: np.zeros(len(arguments)))
+    evaluate(lambda state: -state[2:])  # the observation, whatever its name
+    evaluate(lambda episode_start, deterministic: np.ones(1) * (deterministic and episode_start.shape == (3,)))
     evaluate(lambda observation, /, **rest: np.zeros(1 + len(rest)))
     with pytest.raises(BadInput, match=r"a policy has a method predict.* got a float"):
         evaluate(1.5)
+
+
+@pytest.mark.parametrize("name", ["state", "episode_start", "deterministic"])
+def test_the_first_argument_is_the_observation(name):
+    """Under any name, of a method and of a function."""
+    scope: dict[str, Any] = {}
+    exec(f"def act({name}): return -{name}[2:]\ndef predict(self, {name}): return act({name})", scope)
+    expected = evaluate(lambda o: -o[2:])
+    for policy in (scope["act"], type("Acting", (), {"predict": scope["predict"]})()):
+        np.testing.assert_array_equal(evaluate(policy).returns, expected.returns)
 
 
 def test_actions_that_are_not_finite_are_the_policys_fault():

@@ -156,6 +156,20 @@ def test_training_sees_as_many_as_delays_hold_back(tmp_path):
     assert train_sac("pendulum", [[1.0]], out=tmp_path / "prompt", **call).policy.past_commands == 0
 
 
+def test_a_baseline_in_an_environment_that_holds_them(tmp_path):
+    """Its observations have them for the nominal model, too; what was begun goes on with what it has."""
+    call: dict[str, Any] = {"evaluation_every": 160, "evaluation_episodes": 2, "quiet": True, "nominal_baseline": True}
+    call |= {"hyperparameters": SMALL, "device": "cpu", "space": LATE, "target": [[1.0, 0.05]]}
+    for env, past, nominal in ((with_two, None, 2), (with_two, 2, 2), ("pendulum", 1, 1)):
+        out = tmp_path / f"{past} {nominal}"
+        result = train_sac(env, [[1.0, 0.1]], out=out, steps=160, past_commands=past, **call)
+        assert result.baseline is not None
+        assert result.baseline.policy.past_commands == load_policy(out / "nominal").past_commands == nominal
+        again = train_sac(env, [[1.0, 0.1]], out=out, steps=320, **call)
+        assert again.baseline is not None
+        assert (again.baseline.after.step, again.baseline.policy.past_commands) == (320, nominal)
+
+
 def test_policies_of_earlier_versions_have_none(tmp_path):
     """Their file does not say; one that says nonsense is damaged."""
     policy(0).save(tmp_path)

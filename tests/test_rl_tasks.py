@@ -8,7 +8,7 @@ import pytest
 from nfpde.benchmarks import collect, robot
 from nfpde.benchmarks.pendulum import PAYLOAD_XML, PENDULUM_XML
 from nfpde.errors import BadInput, BadModel
-from nfpde.rl import TASKS, evaluate_policy, make_environment
+from nfpde.rl import TASKS, evaluate_policy, make_environment, tasks
 from nfpde.sim import MujocoSimulator
 
 
@@ -90,6 +90,9 @@ def test_pendulum_can_be_solved():
         (("pendulum", "missing.xml"), "missing.xml: no such file"),
         (("CartPole-v1", PENDULUM_XML), "'CartPole-v1' cannot be made with .*xml_file"),
         ((lambda: gymnasium.make("Hopper-v5"), PENDULUM_XML), "goes with the name of an environment"),
+        ((lambda: None,), "the function that makes the environment returned a NoneType, no gymnasium.Env"),
+        ((gymnasium.make("CartPole-v1"),), "env is a .*; give an environment's name or a function .*: two are needed"),
+        ((PENDULUM_XML,), "env is a PosixPath; give an environment's name or a function that makes it"),
     ],
 )
 def test_unknown_environments_are_refused(arguments, text):
@@ -104,6 +107,20 @@ def test_another_model_file(tmp_path):
     path.write_text(PENDULUM_XML.read_text().replace('mass="0.6"', 'mass="2"'))
     env = make_environment("pendulum", path)
     assert env.unwrapped.model.body("pendulum").mass[0] == pytest.approx(2.1)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_model_of_another_timestep(tmp_path, monkeypatch, known):
+    """Gymnasium wants the rate of the environment's pictures: one line, with the timestep where it can be told."""
+    path = tmp_path / "fast.xml"
+    own = mujoco.MjModel.from_xml_path(str(PENDULUM_XML)).opt.timestep
+    path.write_text(PENDULUM_XML.read_text().replace(f'timestep="{own:g}"', 'timestep="0.002"'))
+    said = rf"its timestep is 0\.002 s, and the environment needs {own:g} s \(its render_fps is fixed\); change it"
+    if not known:
+        monkeypatch.setattr(tasks, "_timesteps", lambda *_: None)
+        said = "Expected value: 100, Actual value: 20"
+    with pytest.raises(BadModel, match=rf"^\S*fast\.xml: environment 'pendulum' cannot be made with it: {said}$"):
+        make_environment("pendulum", path)
 
 
 def test_a_model_that_cannot_be_compiled(tmp_path):

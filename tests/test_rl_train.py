@@ -252,15 +252,15 @@ def test_replay_files_restore_the_ring(tmp_path, size):
 
     box = gymnasium.spaces.Box(-1, 1, (2,))
     rng = np.random.default_rng(0)
-    buffer, files, done = ReplayBuffer(size, box, box, device="cpu"), ReplayFiles(tmp_path), 0
+    buffer, files, done = ReplayBuffer(size, box, box, device="cpu"), ReplayFiles(tmp_path), [0]
     for piece in (5, 11, 30, 1, 18):
-        for i in range(done, done + piece):
+        for i in range(done[-1], done[-1] + piece):
             o, a = rng.normal(size=(1, 2)), rng.normal(size=(1, 2))
             info = [{"TimeLimit.truncated": i % 3 == 0}]
             buffer.add(o, o + 1, a, np.array([float(i)]), np.array([i % 2 == 0]), info)
-        files.add(buffer, done, done + piece)
-        done += piece
-        files.clean(size, done)
+        done.append(done[-1] + piece)
+        files.add(buffer, *done[-2:])
+        files.clean(size, done[-1])
         copy = ReplayBuffer(size, box, box, device="cpu")
         files.load(copy, done)
         assert (copy.pos, copy.full) == (buffer.pos, buffer.full)

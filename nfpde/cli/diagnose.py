@@ -65,6 +65,7 @@ def command(
         call = ["nfpde", "fit", model, str(data), "--params", str(explained)]
         call += [] if resample is None else ["--resample", f"{resample:g}"]
         call += ["--differentiate"] if differentiate else []
+        call += [] if robot is None else ["--robot", robot]
         typer.echo(f"{explained}: what to fit next: {shlex.join(call)} --out ...")
     typer.echo(f"simulated on {found.device}")
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, make_simulator, read_dataset
+from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, make_simulator, of_robot, read_dataset
 from nfpde.cli.settings import build, options_from, refuse_idle
 from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit, tell, write_report
 from nfpde.sim import Device, runs_on
@@ -31,6 +31,9 @@ def command(
         float | None, typer.Option(help="control step to resample uneven recordings to, in seconds")
     ] = None,
     differentiate: Annotated[bool, typer.Option(help=DIFFERENTIATE_HELP)] = False,
+    robot: Annotated[
+        str | None, typer.Option(help="label of the only robot to fit, where there are several; all without it")
+    ] = None,
     device: Annotated[Device, typer.Option(help=DEVICE_HELP)] = "auto",
     seed: Annotated[int, typer.Option(help="of everything random")] = 0,
     quiet: Annotated[bool, typer.Option(help="show no progress")] = False,
@@ -42,7 +45,7 @@ def command(
     same command goes on where an interrupted one stopped.
     """
     simulator = make_simulator(model, params, device)
-    dataset = read_dataset(data, resample, differentiate, model)
+    dataset = of_robot(read_dataset(data, resample, differentiate, model), robot)
     if method == "softmax":
         refuse_idle(context, ("clip",), "the method softmax")
     config = build(CONFIGS[method], settings, context, f"the method {method}")

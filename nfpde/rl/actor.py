@@ -108,9 +108,9 @@ def check_finite(action: NDArray[Any]) -> None:
 
 
 def _keywords(function: Callable[..., Any]) -> set[str]:
-    """Names of the arguments that a function takes by name."""
+    """Names of the arguments that a function takes by name, beside the first, which the observation is."""
     try:
-        parameters = inspect.signature(function).parameters.values()
+        parameters = list(inspect.signature(function).parameters.values())[1:]
     except (TypeError, ValueError):  # some built-in functions do not tell
         return set()
     by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.errors import BadInput, SimulationDiverged
+from nfpde.live import numbers_of
 from nfpde.rl.randomize import RandomizedParameters
 from nfpde.rl.settings import layers, wrapper_names
 
@@ -47,12 +48,12 @@ def _episode(env: RandomizedParameters, xi: Array | None, seed: int, actions: An
         observation, _ = env.reset(seed=seed, options=None if xi is None else {"parameters": xi})
     except SimulationDiverged:  # that is told, or counted, where it matters
         return {"observations": observations, "rewards": np.array(rewards), "length": 0}
-    observations.append(_numbers(observation))
+    observations.append(numbers_of(observation))
     length = None
     for step in range(1, LONGEST + 1):
         observation, reward, terminated, truncated, _ = env.step(actions.sample())
         if step <= STEPS:
-            observations.append(_numbers(observation))
+            observations.append(numbers_of(observation))
             rewards.append(float(reward))
         if terminated or truncated:
             length = step
@@ -143,13 +144,3 @@ def check_statistics(env: RandomizedParameters) -> None:
 
 def _close(first: Array, second: Array) -> NDArray[np.bool_]:
     return np.isclose(second, first, rtol=RELATIVE, atol=ABSOLUTE, equal_nan=True)
-
-
-def _numbers(observation: Any) -> Array:
-    """All numbers of an observation, in a row."""
-    if isinstance(observation, dict):
-        observation = tuple(observation[key] for key in sorted(observation))
-    if isinstance(observation, tuple):
-        return np.concatenate([_numbers(part) for part in observation] or [np.empty(0)])
-    array = np.asarray(observation)
-    return array.astype(np.float64).ravel() if array.dtype.kind in "biuf" else np.empty(0)

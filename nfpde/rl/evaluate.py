@@ -16,7 +16,7 @@ from nfpde.rl.behaviour import Repetition
 from nfpde.rl.numbers import seed_number, whole_number
 from nfpde.rl.past import Controller, past_commands_of
 from nfpde.rl.policy import Policy
-from nfpde.rl.randomize import Draws, RandomizedParameters, check_source
+from nfpde.rl.randomize import Draws, RandomizedParameters, check_source, check_space
 from nfpde.rl.tasks import Environment, make_environment
 
 Array = NDArray[np.float64]
@@ -96,6 +96,7 @@ def evaluate_policy(
     made = None
     if isinstance(env, RandomizedParameters):
         if space is not None:
+            check_space(space)
             space.check_same(env.space)
         wrapped, given = env, env.source if source is None else check_source(source, env.space)[0]
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -56,9 +56,10 @@ class SacConfig:
     """Entropy coefficient; "auto" learns it, towards an entropy of minus the number of actions."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "hidden", tuple(whole_number(f"SAC: hidden[{i}]", n, 1) for i, n in enumerate(self.hidden))
-        )
+        hidden: Any = self.hidden
+        if not isinstance(hidden, Iterable):
+            raise BadInput(f"SAC: hidden is {hidden!r}; give the neurons of each layer, as in (256, 256)")
+        object.__setattr__(self, "hidden", tuple(whole_number(f"SAC: hidden[{i}]", n, 1) for i, n in enumerate(hidden)))
         for name in ("batch_size", "buffer_size", "train_every", "gradient_steps"):
             object.__setattr__(self, name, whole_number(f"SAC: {name}", getattr(self, name), 1))
         object.__setattr__(self, "learning_starts", whole_number("SAC: learning_starts", self.learning_starts, 0))
@@ -165,8 +166,8 @@ class SacLearner:
             },
         )
 
-    def restore(self, layout: Any, tensors: dict[str, Tensor], replay: ReplayFiles) -> None:
-        """Take over a saved state and its transitions.
+    def restore(self, layout: Any, tensors: dict[str, Tensor], replay: ReplayFiles, ends: Sequence[int]) -> None:
+        """Take over a saved state and its transitions; `ends` as in `ReplayFiles.load`.
 
         Raises:
             CheckpointMismatch: the networks differ.
@@ -182,7 +183,7 @@ class SacLearner:
             model.log_ent_coef.data.copy_(state["log_entropy"])
         model.num_timesteps, model._n_updates = state["steps"], state["updates"]
         model._episode_num = state["episodes"]
-        replay.load(self.buffer, model.num_timesteps)
+        replay.load(self.buffer, ends)
 
     @property
     def buffer(self) -> Any:

@@ -105,7 +105,11 @@ class RandomizedParameters(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, {**info, "parameters": self._named()}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Advance by one control step."""
+        """Advance by one control step.
+
+        Raises:
+            BadInput, BadEffect: the environment's step goes past the simulation, or past the sensors, that are put in.
+        """
         try:
             observation, reward, terminated, truncated, info = self.env.step(action)
         except PhysicsDiverged:
@@ -166,10 +170,12 @@ def check_source(source: Draws | ArrayLike | None, space: ParameterSpace | None)
     """The source as a distribution, an array (n, D) or None, and its space.
 
     Raises:
-        BadInput: neither a distribution nor a space.
+        BadInput: neither a distribution nor a space, or a space that is none.
         BadParameter: vectors that do not fit the space.
         SpaceMismatch: a distribution over another space than the one given.
     """
+    if space is not None:
+        check_space(space)
     if isinstance(source, Draws):
         if space is not None:
             source.space.check_same(space)
@@ -181,6 +187,19 @@ def check_source(source: Draws | ArrayLike | None, space: ParameterSpace | None)
             f"got {what} without a space"
         )
     return (None if source is None else fixed_vectors(source, space, "parameters")), space
+
+
+def check_space(space: ParameterSpace) -> None:
+    """Refuse what is no space, a list of parameters above all.
+
+    Raises:
+        BadInput: names its type.
+    """
+    if not isinstance(space, ParameterSpace):
+        raise BadInput(
+            f"space is a {type(space).__name__}; give a ParameterSpace, which ParameterSpace([Parameter(...), ...]) "
+            "makes of a list"
+        )
 
 
 def fixed_vectors(value: ArrayLike, space: ParameterSpace, where: str, *, one: bool = False) -> Array:

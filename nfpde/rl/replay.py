@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ class ReplayFiles:
         first = max(first, end - buffer.buffer_size)
         rows = np.arange(first, end) % buffer.buffer_size
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{first:012d}-{end:012d}.npz"
+        path = self._path(first, end)
         data = io.BytesIO()
         np.savez(data, allow_pickle=False, **{name: getattr(buffer, name)[rows] for name in ARRAYS})
         write_whole(path, data.getvalue())
@@ -46,19 +48,28 @@ class ReplayFiles:
         for leftover in self.folder.glob("*.tmp"):
             leftover.unlink()
 
-    def load(self, buffer: Any, end: int) -> None:
-        """Fill a buffer as it was after `end` transitions.
+    def load(self, buffer: Any, ends: Sequence[int]) -> None:
+        """Fill a buffer as it was after rounds with so many transitions; files of other rounds are left alone.
+
+        Args:
+            buffer: to be filled.
+            ends: transitions before the first round, none, and after each.
 
         Raises:
             BadInput: a file is missing or damaged.
         """
-        size = buffer.buffer_size
+        size, end = buffer.buffer_size, ends[-1]
         have = max(0, end - size)
-        for path, first, last in self._files():
-            if last <= have or first >= end:
+        for begin, last in pairwise(ends):
+            if last <= have:
                 continue
-            if first > have or last > end:
-                break
+            first = max(begin, last - size)
+            path = self._path(first, last)
+            if not path.exists():
+                raise BadInput(
+                    f"{self.folder}: transitions {have} to {end} are missing. Delete the training's folder to start "
+                    "afresh."
+                )
             try:
                 with np.load(path, allow_pickle=False) as file:
                     rows = np.arange(first, last) % size
@@ -69,11 +80,10 @@ class ReplayFiles:
                     f"{path} is damaged ({error}). Delete the folder to start the training afresh."
                 ) from None
             have = last
-        if have != end:
-            raise BadInput(
-                f"{self.folder}: transitions {have} to {end} are missing. Delete the training's folder to start afresh."
-            )
         buffer.pos, buffer.full = end % size, end >= size
+
+    def _path(self, first: int, end: int) -> Path:
+        return self.folder / f"{first:012d}-{end:012d}.npz"
 
     def _files(self) -> list[tuple[Path, int, int]]:
         found = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -81,7 +80,7 @@ def train_sac(
         evaluation_episodes: episodes of each evaluation, at least 2; as many as there are robots for all of them.
         hyperparameters: of SAC; None for those of `PRESETS` where the environment is among them, else the defaults.
         nominal_baseline: train a second policy, on the nominal model, with the same settings, and compare both. It sees
-            past commands only where `past_commands` asks for them.
+            past commands only where `past_commands` asks for them or the environment's observations hold them.
         model: MJCF file in place of the environment's own.
         device: for the networks: `cpu`, `cuda`, or `auto` for CUDA where there is one.
         past_commands: how many of its own last actions the policy sees behind the environment's observation, oldest
@@ -121,6 +120,10 @@ def train_sac(
     config = hyperparameters
     if config is None:
         config = PRESETS.get(TASKS.get(env, env), SacConfig()) if isinstance(env, str) else SacConfig()
+    elif not isinstance(config, SacConfig):
+        raise BadInput(
+            f"hyperparameters is a {type(config).__name__}; give a SacConfig, as in SacConfig(hidden=(64, 64))"
+        )
     for name, value in (("steps", steps), ("evaluation_every", evaluation_every)):
         if value % config.train_every:
             raise BadInput(f"{name} is {value}; it must be a multiple of train_every, {config.train_every}")
@@ -142,8 +145,7 @@ def train_sac(
     out = Path(out)
     result = Training(job, source, space, out, "Training").run()
     if nominal_baseline:
-        usual = replace(job, past_commands=past_commands or 0)  # nothing in the nominal model holds commands back
-        nominal = Training(usual, None, space, out / "nominal", "Training on the nominal model").run()
+        nominal = Training(job, None, space, out / "nominal", "Training on the nominal model").run()
         result = result.with_baseline(nominal)
         write_json(result)
     plot_returns(result, out / "returns.png")

@@ -166,6 +166,7 @@ class Training:
         job, saved = self.job, self._load()
         self.learner = SacLearner(self.training, job.config, steps=job.steps, seed=job.seed, device=job.device)
         if saved is None:
+            self.replay.clean(self.learner.buffer.buffer_size, 0)  # of a training whose state is gone
             self.policy = self._policy()
             self.points = [self._judge([], 0)]
             return
@@ -178,7 +179,7 @@ class Training:
             )
         self.seconds = info["seconds"]
         self.saved = self.points[-1].step
-        self.learner.restore(info["learner"], tensors, self.replay)
+        self.learner.restore(info["learner"], tensors, self.replay, [p.step for p in self.points])
         self.policy = self._policy()
 
     def _load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
