@@ -41,17 +41,19 @@ class Distance:
 class Evaluation:
     """How close a distribution is to the truth.
 
+    Episodes with the same true parameters are of one robot, which counts once however many it has, as in a fit.
+
     Both tables of distances hold the rows `estimate`, `initial` where one was given, `uniform` (draws from the box)
     and, where it is known, `population` (fresh draws from it): what an estimate equal to the true population gets.
 
     Args:
-        to_episodes: Distance of samples of each to the true parameters of the episodes.
+        to_episodes: Distance of samples of each to the true parameters of the robots that made the episodes.
         to_population: Distance of samples of each to fresh draws of the true population; empty where it is not known.
         names: Names of the parameters.
-        coverage_50: Share of the true parameters inside the central 50 % of the estimate, for each parameter.
+        coverage_50: Share of the robots' true parameters inside the central 50 % of the estimate, for each parameter.
         coverage_90: The same of the central 90 %.
-        log_density_gain: Mean log density of the true parameters under the estimate, less that under the uniform
-            distribution over the box [nats]; -inf if a true parameter lies on a bound.
+        log_density_gain: Mean log density of the robots' true parameters under the estimate, less that under the
+            uniform distribution over the box [nats]; -inf if a true parameter lies on a bound.
         episodes: Number of episodes.
         samples: Number of samples that every figure comes from.
         seed: Of the samples.
@@ -107,7 +109,7 @@ class Evaluation:
         """The tables for a terminal."""
         distances = Table(title="Optimal transport", box=SIMPLE_HEAD)
         distances.add_column("from", no_wrap=True)
-        targets = [("episodes", self.to_episodes)]
+        targets = [("robots", self.to_episodes)]
         if self.to_population:
             targets.append(("population", self.to_population))
         for name, _ in targets:
@@ -123,11 +125,13 @@ class Evaluation:
             covered.add_row(escape(name), f"{half:.0%}", f"{most:.0%}")
         covered.add_section()
         covered.add_row("mean", f"{np.mean(self.coverage_50):.0%}", f"{np.mean(self.coverage_90):.0%}")
+        robots = len(_robots(self.truth.xi))
         return Group(
             distances,
             covered,
             f"Log density of the true parameters above uniform: {self.log_density_gain:.2f} nats",
-            f"{self.episodes} episodes, {self.samples} samples; in boxes: in units of the widths of the bounds",
+            f"{self.episodes} episodes of {robots} different robot{'s' if robots > 1 else ''}, {self.samples} samples; "
+            "in boxes: in units of the widths of the bounds",
         )
 
 
@@ -145,7 +149,8 @@ def evaluate(
 
     Args:
         distribution: The estimate.
-        truth: True parameters of the recorded episodes, and the population they come from where it is known.
+        truth: True parameters of the recorded episodes, of which those with the same are of one robot, and the
+            population they come from where it is known.
         initial: What the fit started from, measured alike.
         samples: Number of samples of each distribution.
         seed: Of all samples, from 0 to 2^63 - 1.
@@ -178,11 +183,12 @@ def evaluate(
     if drawn is not None and fresh is not None:
         rows["population"] = drawn
         to_population = {name: _distance(xi, fresh, space.width) for name, xi in rows.items()}
-    half, most = (_coverage(rows["estimate"], truth.xi, share) for share in (0.5, 0.9))
+    robots = _robots(truth.xi)
+    half, most = (_coverage(rows["estimate"], robots, share) for share in (0.5, 0.9))
     # the uniform log density is -sum log width
-    gain = float(distribution.log_prob(truth.xi).mean() + np.log(space.width).sum())
+    gain = float(distribution.log_prob(robots).mean() + np.log(space.width).sum())
     return Evaluation(
-        to_episodes={name: _distance(xi, truth.xi, space.width) for name, xi in rows.items()},
+        to_episodes={name: _distance(xi, robots, space.width) for name, xi in rows.items()},
         to_population=to_population,
         names=list(space.names),
         coverage_50=half,
@@ -195,6 +201,11 @@ def evaluate(
         truth=truth,
         recorded=recorded,
     )
+
+
+def _robots(xi: Floats) -> Floats:
+    """The different ones of the episodes' true parameters (E, D), in order of appearance: a row for each robot."""
+    return xi[np.sort(np.unique(xi, axis=0, return_index=True)[1])]
 
 
 def _distance(x: Floats, y: Floats, width: Floats) -> Distance:

@@ -92,6 +92,19 @@ def test_what_cannot_tell_the_noise_is_refused():
         nfpde.fit(linear_simulator(), data, quiet=True)
 
 
+def test_resolutions_of_some_channels_say_nothing_of_the_others():
+    """Where two parameters explain the one window there is, all channels need one; those without are named."""
+    space = nfpde.ParameterSpace([nfpde.Parameter(name, low=0.0, high=2.0) for name in "ab"])
+    pushed = nfpde.CallableSimulator(lambda x, u, xi: x + xi * u, space, ["q"], ["v"], ["u"])
+    ends = np.array([[0.0, 0.0], [0.7, 0.9]])
+    data = nfpde.Dataset([nfpde.Episode("a", [0, DT], ends[:, :1], ends[:, 1:], np.ones((2, 1)))])
+    config = nfpde.TrajectoryConfig(draws=30, population_rounds=1)
+    for resolution, said in ((None, ""), ([0.1, 0.0], "of qvel v, too "), ([0.0, 0.1], "of qpos q, too ")):
+        with pytest.raises(BadDataset, match=rf"how exact the sensors {said}are \(resolution\)"):
+            nfpde.fit(pushed, data, resolution=resolution, config=config, quiet=True)
+    assert nfpde.fit(pushed, data, resolution=[0.1, 0.1], config=config, quiet=True).info["noise_freedom"] < 1
+
+
 def test_a_fit_says_that_few_windows_tell_the_noise():
     """In its results and its report, and not where there are many."""
     rng = np.random.default_rng(1)

@@ -12,6 +12,7 @@ from nfpde.benchmarks import collect, robot
 from nfpde.benchmarks.hidden import hide
 from nfpde.dataset import Dataset, differentiate_episode
 from nfpde.dataset.velocities import COMPUTED, computed_velocities
+from nfpde.errors import BadInput
 from nfpde.estimation.trajectory.chains import Chains
 from nfpde.estimation.trajectory.estimator import TrajectoryEstimator
 from nfpde.estimation.trajectory.foretold import foretold, surely_better
@@ -99,6 +100,28 @@ def test_a_missing_effect_stays_an_error_of_the_simulation():
     assert words.startswith("Something is missing in the model that no parameter makes up for")
     assert "nfpde diagnose" in words
     assert "qvel hinge" in words
+
+
+@pytest.mark.parametrize("method", ["softmax", "cai"])
+def test_methods_that_start_from_computed_velocities_refuse_them(method, monkeypatch):
+    """Whether the numbers show them or the recordings say so, by name, with what to do; measured ones they take."""
+    data, _ = recorded(central)
+    words = (
+        f"qvel hinge: computed from positions, and the method {method} starts every transition from the recorded "
+        r"velocities: take trajectory, which believes the positions alone%s, or record velocities"
+    )
+    few = nfpde.NfpdeConfig(iterations=1, samples=8)
+    with pytest.raises(BadInput, match=words % ""):
+        nfpde.fit(simulator(), data, method=method, config=few, quiet=True)
+    data, _ = recorded(measured)
+    nfpde.fit(simulator(), data, method=method, config=few, quiet=True)
+    said = replace(data, metadata=replace(data.metadata, conventions=COMPUTED))
+    with pytest.raises(BadInput, match=words % ""):
+        nfpde.fit(simulator(), said, method=method, config=few, quiet=True)
+    several = simulator()
+    monkeypatch.setattr(several, "jumps", (0,))
+    with pytest.raises(BadInput, match=words % r" \(each model by a simulator of its own\)"):
+        nfpde.fit(several, said, method=method, config=few, quiet=True)
 
 
 def test_a_doubt_that_was_interrupted_goes_on_to_the_same_numbers():

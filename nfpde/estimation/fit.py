@@ -18,6 +18,7 @@ from nfpde.estimation.result import FitResult, versions
 from nfpde.estimation.run import run_estimator
 from nfpde.estimation.trajectory import make_problem
 from nfpde.estimation.trajectory.fit import fit_trajectory
+from nfpde.estimation.trajectory.problem import computed_channels
 from nfpde.flow import build_flow
 from nfpde.losses import increment_scale
 from nfpde.sim import OnDevice, Simulator
@@ -59,8 +60,8 @@ def fit(
         quiet: no progress on the error stream.
 
     Raises:
-        BadInput: settings, windows without what the simulator needs, several models with `trajectory`, or another fit
-            at work in `out`.
+        BadInput: settings, windows without what the simulator needs, several models with `trajectory`, velocities that
+            were computed from positions with another method, or another fit at work in `out`.
         BadDataset: recordings that do not fit into the memory with `trajectory`, or are too short, or too few to tell
             their noise from the parameters.
         CheckpointMismatch: `out` belongs to another run, or to another simulator by what it does.
@@ -84,6 +85,8 @@ def fit(
             "model by a simulator of its own"
         )
     dataset = simulator.prepare(dataset)
+    if method != "trajectory":
+        _check_measured(simulator, dataset, method)
     run = {
         "method": method,
         "config": asdict(settings),
@@ -101,6 +104,22 @@ def fit(
         result = _fitted(simulator, dataset, settings, resolution, seed, run, folder, quiet)
         result.save(folder)
     return result
+
+
+def _check_measured(simulator: Simulator, dataset: Dataset, method: Method) -> None:
+    """Refuse velocities that nobody measured where every transition starts from the recorded ones.
+
+    They hold the position after them, which the transition is to predict, and half of what the command before them
+    did: without their own errors in the loss as with them, what is found may be off by a factor of two.
+    """
+    computed = computed_channels(simulator, dataset)
+    if computed.any():
+        names = [c for c, yes in zip(simulator.states.channels, computed, strict=True) if yes]
+        raise BadInput(
+            f"{', '.join(names)}: computed from positions, and the method {method} starts every transition from the "
+            "recorded velocities: take trajectory, which believes the positions alone"
+            f"{' (each model by a simulator of its own)' if simulator.jumps else ''}, or record velocities"
+        )
 
 
 def _fitted(

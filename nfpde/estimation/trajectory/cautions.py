@@ -36,16 +36,22 @@ def check_noise(problem: Problem, scatter: Scatter) -> None:
 
     Raises:
         BadDataset: fewer degrees of freedom are left than one, which the variance of a single number has, and nobody
-            has said how exact the sensors are.
+            has said how exact the sensors of every channel are.
     """
-    if scatter.freedom >= FEWEST or problem.grain.any():
+    # velocities computed from positions are not believed, whatever their errors are
+    unknown = (problem.grain == 0) & ~problem.computed
+    if scatter.freedom >= FEWEST or not unknown.any():
         return
+    missing = ""
+    if problem.grain.any():
+        channels = problem.simulator.states.channels
+        missing = f" of {listed([c for c, yes in zip(channels, unknown, strict=True) if yes])}, too"
     count, horizon, robots = len(problem.windows), problem.windows.horizon, len(problem.names)
     raise BadDataset(
         f"{count} window{'s' if count > 1 else ''} of {horizon} control step{'s' if horizon > 1 else ''} "
         f"cannot tell the noise from the {len(problem.simulator.space)} parameters of {robots} "
         f"robot{'s' if robots > 1 else ''}, which can explain all that they show: record more, give the episodes of "
-        "one robot the same label, leave parameters out, or say how exact the sensors are (resolution)"
+        f"one robot the same label, leave parameters out, or say how exact the sensors{missing} are (resolution)"
     )
 
 

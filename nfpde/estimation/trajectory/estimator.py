@@ -209,7 +209,7 @@ class TrajectoryEstimator:
         """What two answers are told apart by: log likelihood where both believe the same sensors; else `foretold`."""
         best, c = self._best(), self._found()
         if doubt == 0:
-            return -float(c.cost[best].sum() - 2 * np.linalg.slogdet(self.noise.whitening.own)[1].sum())
+            return 2 * self.noise.log_constant - float(c.cost[best].sum())
         if self.slopes is None:
             raise RuntimeError("no round has been made")
         residuals = np.concatenate([c.residuals[k] for k in best])
@@ -234,7 +234,9 @@ class TrajectoryEstimator:
         restart(self.problem, c, self.noise)
         c = c.joined(at.places(found))
         linearise(self.problem, c, self.noise, np.arange(len(c.robot)), careful=True)
-        self.candidates = distinct(c)
+        c = self.candidates = distinct(c)
+        # costs to the last digits as of one stack, which is how a checkpoint's are computed
+        reweigh(c, self.noise)
         self.settled = True
 
     def posteriors(self) -> list[LocalPosterior]:

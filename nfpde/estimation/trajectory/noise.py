@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from nfpde.estimation.trajectory.chains import Chains, Factor
 from nfpde.estimation.trajectory.freedom import widening
-from nfpde.estimation.trajectory.student import GAUSSIAN
+from nfpde.estimation.trajectory.student import GAUSSIAN, standard_constant
 from nfpde.sim import Whitening
 
 Array = NDArray[np.float64]
@@ -133,6 +133,13 @@ class Noise:
         logs = np.linalg.slogdet(self.whitening.own)[1]
         # it is believed to be larger where few windows tell it
         return -float(logs.mean()) / self.whitening.channels - 0.5 * float(np.log(widening(self.scatter.freedom)))
+
+    @property
+    def log_constant(self) -> float:
+        """The part of the log likelihood of all windows that does not depend on their residuals [nats]."""
+        w = self.whitening
+        logs = np.linalg.slogdet(w.own)[1] + standard_constant(w.degrees, w.channels)
+        return float(np.broadcast_to(logs, len(w.linked)).sum())
 
     @property
     def alone(self) -> Array:

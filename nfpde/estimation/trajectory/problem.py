@@ -178,9 +178,16 @@ def make_problem(simulator: Simulator, dataset: Dataset, horizon: int, resolutio
         # rounding to steps of r leaves errors that are uniform over a step: a standard deviation of r / sqrt(12)
         grain = _steps(simulator, resolution) / np.sqrt(12.0) / unit[: len(grain)]
     episodes = tuple(tuple(e.name for e, o in zip(dataset, labels, strict=True) if o == name) for name in names)
-    computed = np.zeros(len(grain), bool)
-    computed[simulator.states.ndiff - simulator.states.nv + computed_velocities(dataset, simulator.states.axes)] = True
+    computed = computed_channels(simulator, dataset)
     return Problem(simulator, windows, names, episodes, members, unit, floor, grain, computed)
+
+
+def computed_channels(simulator: Simulator, dataset: Dataset) -> NDArray[np.bool_]:
+    """Which channels of a state are velocities that were computed from positions, (ndiff,)."""
+    states = simulator.states
+    computed = np.zeros(states.ndiff, bool)
+    computed[states.ndiff - states.nv + computed_velocities(dataset, states.axes)] = True
+    return computed
 
 
 def _steps(simulator: Simulator, resolution: ArrayLike) -> Array:
