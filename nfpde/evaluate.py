@@ -125,7 +125,7 @@ class Evaluation:
             covered.add_row(escape(name), f"{half:.0%}", f"{most:.0%}")
         covered.add_section()
         covered.add_row("mean", f"{np.mean(self.coverage_50):.0%}", f"{np.mean(self.coverage_90):.0%}")
-        robots = len(_robots(self.truth.xi))
+        robots = len(self.truth.robots)
         return Group(
             distances,
             covered,
@@ -183,7 +183,7 @@ def evaluate(
     if drawn is not None and fresh is not None:
         rows["population"] = drawn
         to_population = {name: _distance(xi, fresh, space.width) for name, xi in rows.items()}
-    robots = _robots(truth.xi)
+    robots = truth.robots
     half, most = (_coverage(rows["estimate"], robots, share) for share in (0.5, 0.9))
     # the uniform log density is -sum log width
     gain = float(distribution.log_prob(robots).mean() + np.log(space.width).sum())
@@ -201,11 +201,6 @@ def evaluate(
         truth=truth,
         recorded=recorded,
     )
-
-
-def _robots(xi: Floats) -> Floats:
-    """The different ones of the episodes' true parameters (E, D), in order of appearance: a row for each robot."""
-    return xi[np.sort(np.unique(xi, axis=0, return_index=True)[1])]
 
 
 def _distance(x: Floats, y: Floats, width: Floats) -> Distance:

@@ -122,6 +122,11 @@ class Truth:
         if self.dataset is not None and (not isinstance(self.dataset, str) or not self.dataset):
             raise BadInput(f"dataset must be a text, the content hash of the recordings; got {self.dataset!r}")
 
+    @property
+    def robots(self) -> NDArray[np.float64]:
+        """The different ones of the episodes' vectors, in order of appearance: a row for each robot, (G, D)."""
+        return self.xi[np.sort(np.unique(self.xi, axis=0, return_index=True)[1])]
+
     def over(self, space: ParameterSpace) -> Truth:
         """The same of a space with the same parameters, in its order and with its bounds, without the population.
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nfpde.errors import BadInput
 from nfpde.parameters import ParameterSpace
@@ -105,7 +104,7 @@ def train_sac(
             print(result.summary())
             torque = load_policy("policy").predict(observation)
     """
-    truth, vectors = (target.space, _robots(target)) if isinstance(target, Truth) else (None, target)
+    truth, vectors = (target.space, target.robots) if isinstance(target, Truth) else (None, target)
     if isinstance(vectors, Draws):
         raise BadInput("target takes vectors (n, D) or a Truth, the robots the policy is for, not a distribution")
     source, space = check_source(distribution, truth if distribution is None and space is None else space)
@@ -150,12 +149,6 @@ def train_sac(
         write_json(result)
     plot_returns(result, out / "returns.png")
     return result
-
-
-def _robots(truth: Truth) -> NDArray[np.float64]:
-    """The different vectors of a truth, which has one an episode, in the order in which they appear, (n, D)."""
-    _, first = np.unique(truth.xi, axis=0, return_index=True)
-    return truth.xi[np.sort(first)]
 
 
 def _check_device(device: str) -> None:
