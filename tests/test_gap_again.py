@@ -40,7 +40,14 @@ class Leaving(Selection):
         (SOFT, 400, [], 1.0, False, True),
         (SOFT, 400, [], 1.0, True, False),  # all were looked at before
         (SOFT, 400, ["found"], 1.0, False, False),  # what is there was found
-        (SOFT, 400, [], 9.0, False, False),  # far more than noise: more windows explain no more of it
+        (
+            SOFT,
+            400,
+            [],
+            9.0,
+            False,
+            False,
+        ),  # far more than noise: more windows explain no more of it, the other half may
         (SOFT, 400, [], 0.9 * LEAST_GAP, False, False),  # nor of what is next to nothing
         (SOFT, 120, [], 1.0, False, False),  # there are no more
         (FAST, 400, [], 1.0, False, False),  # nothing touches anything: windows are long, and all that there are
@@ -48,9 +55,10 @@ class Leaving(Selection):
 )
 def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, accepted, gap, every, again, monkeypatch):
     recordings = cut_recordings(pushes(0.5, rows=rows), 0, 0, 160)
-    used, knew = [], []
+    used, knew, swapped = [], [], []
 
     def to_the_end(search: Search) -> tuple[Any, Any]:
+        swapped.append(search.swapped)
         used.append(search.most)
         knew.append(search.before and search.before.misjudged)
         selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=len(used))
@@ -63,13 +71,37 @@ def test_all_short_windows_are_looked_at_where_some_show_nothing(what, rows, acc
     told = []
     search = Search(ANYTHING, ANYTHING, [(what, np.ones((1, 2)))], np.zeros((1, 0)), 160, 0, ANYTHING, told.append)
     stage, found = search.run()
-    assert used == ([MOST, EVERY] if again else [MOST])
-    assert knew == ([None, NEAR.misjudged] if again else [None])  # the noise of the sensors is not found twice
+    other = not accepted and gap > 1.5
+    assert swapped == ([False, True] if other else [False] * len(used))
+    assert used == ([MOST, EVERY] if again else [MOST] * len(swapped))
+    # the noise of the sensors is not found twice
+    assert knew == ([None, NEAR.misjudged] if again or other else [None])
     assert stage == "stage"
     # joints that touch nothing are asked last, and once
-    assert alone == ([] if accepted or gap < LEAST_GAP else [(used[-1], stage, found)])
-    assert len(told) == again
-    assert found.selection.steps == (3 if again else 1)  # what both simulated counts
+    assert alone == ([] if accepted or gap < LEAST_GAP else [(MOST if other else used[-1], stage, found)])
+    assert len(told) == (again or other)
+    assert found.selection.steps == (3 if again or other else 1)  # what both simulated counts
+
+
+@pytest.mark.parametrize("other", [[], ["found"]])
+def test_the_other_half_is_asked_where_this_one_found_nothing(other, monkeypatch):
+    """Where that one finds nothing either, all stays as it was; its steps count."""
+    made = {}
+
+    def to_the_end(search: Search) -> tuple[Any, Any]:
+        selection = Leaving(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
+        selection.left = 9.0
+        accepted = other if search.swapped else []
+        made[search.swapped] = Found(ANYTHING, NEAR, selection, ANYTHING, accepted, early=search.swapped)
+        return f"stage {search.swapped}", made[search.swapped]
+
+    monkeypatch.setattr(Search, "_to_the_end", to_the_end)
+    monkeypatch.setattr(Search, "_by_free_joints", lambda search, *of: of[1])
+    search = Search(
+        ANYTHING, ANYTHING, [(FAST, np.ones((1, 1)))], np.zeros((1, 0)), 160, 0, ANYTHING, lambda what: None
+    )
+    assert search.run() == (f"stage {bool(other)}", made[bool(other)])
+    assert made[bool(other)].selection.steps == 10
 
 
 def test_joints_are_not_asked_by_themselves_where_all_were_asked_over_the_same_windows(monkeypatch):

@@ -209,26 +209,20 @@ def test_parameters_are_looked_for_behind_pits():
     assert best_of_pits(fitter, stuck, far).xi == pytest.approx([0.3], abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("noise", "look", "looks"),
-    [
-        (None, True, True),  # nothing is known of the sensors yet
-        (1e-3, True, False),
-        (1e-9, True, True),
-        (None, False, False),
-    ],
-)
-def test_a_fit_that_leaves_noise_alone_is_in_no_pit(noise, look, looks, monkeypatch):
+@pytest.mark.parametrize(("right", "look", "looks"), [(True, True, False), (False, True, True), (False, False, False)])
+def test_a_fit_that_leaves_noise_alone_is_in_no_pit(right, look, looks, monkeypatch):
     """Parameters are looked for all over their bounds where more than the sensors' noise is left, if at all."""
     called = []
     monkeypatch.setattr(stage, "best_of_pits", lambda fitter, fit, guesses: called.append(fit) or fit)
     spring = BALL.replace('axis="0 0 1"', 'axis="0 0 1" stiffness="20" springref="0.1" damping="1"')
+    bounds = (0.2, 8.0) if right else (5.0, 8.0)  # the ball has a damping of 1
     replay = Replay(
-        mujoco.MjModel.from_xml_string(spring), ParameterSpace([Parameter("dof_damping", "up", 0.2, 8.0)]), []
+        mujoco.MjModel.from_xml_string(spring), ParameterSpace([Parameter("dof_damping", "up", *bounds)]), []
     )
     recordings = brief(cut_recordings(drops(noise=(1e-4, 1e-3), xml=spring), 0, 0, 160))[-1]
-    sigma = None if noise is None else np.array([0.1 * noise, noise])
-    first_fit(replay, recordings, np.array([[7.9]]), capped=True, look=look, sigma=sigma)
+    base, court = first_fit(replay, recordings, np.array([[1.2 if right else 7.9]]), capped=True, look=False)
+    assert not called
+    in_noise(base, court, recordings, 0, look=look)
     assert bool(called) == looks
 
 

@@ -49,3 +49,23 @@ def test_halves_that_contradict_each_other_tell_nothing_apart(held, fitted, left
     assert found is not None
     assert found[0] is rub
     assert [t.effect for t in found[1].rivals] == ([STICK] if declared else [])
+
+
+@pytest.mark.parametrize(
+    ("held", "fitted", "left", "named"),
+    [
+        (-60.0, 160.0, 1.0, STICK),  # both halves together favour it, and it leaves far less
+        (-60.0, 160.0, 29.0, RUB),  # it leaves nearly as much
+        (-60.0, 0.0, 1.0, RUB),  # both halves together are against it
+    ],
+)
+def test_who_is_clearer_in_both_halves_together_is_named(held, fitted, left, named):
+    """Where nothing slides any friction is enough, and this half foretells worse by the one that the other tells."""
+    yardstick = Yardstick(np.ones((2, 4)), np.ones((1, 40, 2, 4)), 0.0)
+    selection = ByGain(ANYTHING, None, 1, COURT, [], yardstick=yardstick)
+    base, rub, stick = trial(None, 100.0, -900.0, -900.0), trial(RUB, 30.0, 0.0, 0.0), trial(STICK, left, held, fitted)
+    found = selection.accept(base, [rub, stick], selection.gap_of(base))
+    assert found is not None
+    assert found[1].effect is named
+    if named is STICK:
+        assert [t.effect for t in found[1].rivals] == [RUB]

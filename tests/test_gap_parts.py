@@ -253,6 +253,21 @@ def test_an_episode_that_alone_shows_the_gap_is_shared(episodes):
         assert rows.min() >= held.row
 
 
+@pytest.mark.parametrize("episodes", [1, 2, 7])
+def test_halves_change_places(episodes):
+    """What was held out is fitted, and the other way round; episodes and rows are named, none is in both."""
+    data = record(episodes=episodes, rows=400)
+    one, other = (cut_recordings(data, 0, 0, 160, swapped=swapped) for swapped in (False, True))
+    places = [
+        {(e, r) for e, r in zip(h.episode, h.row, strict=True)} for h in (one.fit, one.held, other.fit, other.held)
+    ]
+    assert places[:2] == places[:1:-1]
+    if episodes == 1:
+        assert [names.held_out for names in (one, other)] == [("0 from row 199",), ("0 up to row 199",)]
+    else:
+        assert sorted(one.held_out + other.held_out) == sorted(data.names)
+
+
 def test_a_diverged_window_is_bad_but_finite():
     """NaN residuals cost more than any sound window, and stay finite."""
     scatter: Scatter = unit_scatter(500)

@@ -123,6 +123,10 @@ class Acceptance(Rounds):
         # within the standard error of the best, the one with fewest parameters, if it explains the same
         simplest = simplest_first([t for t in near if t in gains and t in equal])
         chosen = next(t for t in simplest if t is best or stands(t))
+        # one half may know little of what the other tells: who is likelier in both together, and leaves far less
+        clearer = [t for t in equal if t is not chosen and t in gains and self.court.contradicted(chosen, t)]
+        clearer = [t for t in clearer if not self._leaves_nearly(gap, t, chosen) and stands(t)]
+        chosen = min(clearer, key=self.gap_of, default=chosen)
         if chosen.effect is None:
             return None
         close = [t for t in beside if self._leaves_nearly(gap, best, t)]

@@ -110,7 +110,10 @@ def diagnose_gap(
 
     windows = windows or windows_for(mjmodel.nv)
     meets = touches(mjmodel, np.concatenate([np.hstack([e.qpos, e.qvel]) for e in dataset]))
-    search = Search(start, dataset, candidates, guesses, windows, seed, select, report, computed.weights, meets=meets)
+    weights, force = computed.weights, scales.force
+    search = Search(
+        start, dataset, candidates, guesses, windows, seed, select, report, weights, meets=meets, force=force
+    )
     error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches)
     dataset = without_error(mjmodel, dataset, error)
     search = replace(search, dataset=dataset)

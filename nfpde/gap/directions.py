@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nfpde.dataset import Windows
-from nfpde.gap.loud import Loudness
+from nfpde.gap.loud import Loudness, aside
 from nfpde.gap.noise import learn_scatter
 from nfpde.gap.replay import Replay, displaced
 
@@ -60,6 +60,7 @@ def noise_covariance(
     sigma: Array,
     seen: Callable[[Array], Array] = lambda residuals: residuals,
     loose: NDArray[np.bool_] | None = None,
+    force: Array | None = None,
 ) -> Array:
     """Covariance of the residuals of every window by noise of the sensors (2 nv,) at its start and ends, (N, m, m).
 
@@ -75,11 +76,12 @@ def noise_covariance(
         seen: Takes those residuals that are looked at out of all (..., nv, C).
         loose: Which channels nobody measured (2 nv,): how they err at a start goes with the motion, and what goes in
             proportion to that counts `LOOSE` times.
+        force: Typical generalized forces (nv,), by a share of which the model is pushed aside; None: it is not.
 
     Returns:
         Over m = nv C channels, those of a degree of freedom next to each other.
     """
-    change = seen(replay.by_dof(displaced(replay, xi, windows, horizons, sigma)))
+    change = seen(replay.by_dof(displaced(replay, xi, windows, horizons, sigma, aside(force, replay.nv))))
     columns = change.reshape(-1, len(windows), change.shape[-2] * change.shape[-1])
     ends = seen(replay.by_dof(np.tile(sigma**2, (len(horizons), 1)))).ravel()
     covariance = 0.5 * np.einsum("kni,knj->nij", columns, columns, optimize=True) + np.diag(ends)

@@ -41,7 +41,9 @@ class Far:
 
     def _measure(self, current: Trial, sigma: Array) -> _Measure:
         windows = joined(self.recordings.fit, self.recordings.held)
-        plain = Fitter(windows, self.recordings.horizons, channels=self.recordings.channels)
+        plain = Fitter(
+            windows, self.recordings.horizons, channels=self.recordings.channels, force=self.recordings.force
+        )
         replay = current.fit.replay
         left, noise = plain.residuals_at(replay, current.fit.xi[None])[0], noise_of(current.fit, sigma, plain, SEED)
         loud = loudness(noise, left, floor_of(left, plain.moved(replay)))

@@ -107,6 +107,7 @@ class Fitter:
     noise: what residuals are quietened by, of these windows; None: all windows are alike
     dofs: degrees of freedom that are looked at; None: all. Only these are in residuals then
     channels: of each of them the first so many are looked at; None: all
+    force: typical generalized forces (nv,), where contacts are, see `noise_residuals`; else None
     """
 
     windows: Windows
@@ -114,6 +115,7 @@ class Fitter:
     noise: Loudness | Directions | None = None
     dofs: NDArray[np.intp] | None = None
     channels: int | None = None
+    force: Array | None = None
 
     def some(self, index: NDArray[np.intp]) -> Fitter:
         """The same on some of the windows."""

@@ -25,21 +25,26 @@ class HeldOut:
     episodes: their indices
     shared: an episode that is held out in part; None: there is none
     row: windows of the shared episode that end after this row are held out
+    swapped: whether it is all others that are held out
     """
 
     episodes: NDArray[np.intp]
     shared: int | None = None
     row: int = 0
+    swapped: bool = False
 
     def late(self, windows: Windows) -> NDArray[np.bool_]:
         """Of every window, whether it is held out (N,)."""
         ends_late = windows.row + windows.horizon > self.row
-        return np.isin(windows.episode, self.episodes) | ((windows.episode == self.shared) & ends_late)
+        late = np.isin(windows.episode, self.episodes) | ((windows.episode == self.shared) & ends_late)
+        return late != self.swapped
 
     def names(self, dataset: Dataset) -> tuple[str, ...]:
-        """Names of the episodes, and from which row on a shared one is held out."""
-        part = () if self.shared is None else (f"{dataset.names[self.shared]} from row {self.row}",)
-        return (*(dataset.names[i] for i in self.episodes), *part)
+        """Names of the episodes, and from or up to which row a shared one is held out."""
+        mine = [i for i in range(len(dataset)) if (i in self.episodes) != self.swapped and i != self.shared]
+        side = "up to" if self.swapped else "from"
+        part = () if self.shared is None else (f"{dataset.names[self.shared]} {side} row {self.row}",)
+        return (*(dataset.names[i] for i in mine), *part)
 
 
 def by_seed(lengths: NDArray[np.intp], steps: int, seed: int) -> HeldOut:

@@ -39,7 +39,8 @@ def quietened(
     if whole:
         replay, loose = known.replay, court.encoders.loose
         parts = [
-            noise_covariance(replay, known.xi, half.windows, half.horizons, sigma, half.seen, loose) for half in halves
+            noise_covariance(replay, known.xi, half.windows, half.horizons, sigma, half.seen, loose, half.force)
+            for half in halves
         ]
         # starts whose velocity nobody measured make most of the residuals: a share of these is no floor
         floor = court.floor if court.fitter.channels is None else precision_of(court.fitter.moved(base.replay))

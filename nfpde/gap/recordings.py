@@ -58,6 +58,7 @@ class Recordings:
     rows: held-out single steps in a row, for the sensor noise
     longest: held-out windows as long as any, where these may be shorter
     encoders: what the readings in all rows tell of the encoders
+    force: typical generalized forces (nv,) where contacts are, else None
     """
 
     fit: Windows
@@ -68,6 +69,7 @@ class Recordings:
     rows: Windows
     longest: Windows
     encoders: Encoders
+    force: Array | None = None
 
     @property
     def positions_alone(self) -> bool:
@@ -100,6 +102,8 @@ def cut_recordings(
     held: HeldOut | None = None,
     past: int | None = None,
     computed: Array | None = None,
+    *,
+    swapped: bool = False,
 ) -> Recordings:
     """Split by episode (one episode: by time), and cut.
 
@@ -113,6 +117,7 @@ def cut_recordings(
         held: What to hold out; None: as the seed decides.
         past: States needed from before a window's start; None: as many as commands.
         computed: What velocities that nobody measured take of the positions, see `Differences.weights`.
+        swapped: Whether what would be held out is fitted, and the rest held out.
 
     Raises:
         BadDataset: Too little data for `FEWEST` windows of each half.
@@ -122,6 +127,7 @@ def cut_recordings(
     first = 0 if computed is None or not computed.any() else 1
     steps = _window_steps(lengths - first, dataset.control_dt)
     held = by_seed(lengths, steps, seed) if held is None else held
+    held = replace(held, swapped=swapped)
     past = history if past is None else past
     stride = steps + 1  # a row apart: the noise of one that ends a window and starts the next would be in both
     chosen = _halves(dataset.windows(steps, stride=stride, first=first), lead, held)

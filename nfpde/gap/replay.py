@@ -167,7 +167,9 @@ def started_beside(replay: Replay, windows: Windows, shift: Array) -> Windows:
     return replace(windows, state=np.concatenate([moved[:, None], windows.state[:, 1:]], axis=1))
 
 
-def displaced(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[int], size: Array) -> Array:
+def displaced(
+    replay: Replay, xi: Array, windows: Windows, horizons: Sequence[int], size: Array, forces: Array | None = None
+) -> Array:
     """How predictions change where the start is measured wrong, one channel at a time, by so much to either side.
 
     A contact opens one way and presses the other: one side does not tell what the other does.
@@ -178,15 +180,19 @@ def displaced(replay: Replay, xi: Array, windows: Windows, horizons: Sequence[in
         windows: Of recordings (N).
         horizons: Control steps after which to look (h).
         size: Of the error in each channel (2 nv,); none is simulated where it is zero.
+        forces: Generalized forces (models, nv), one model after the other for the channels; None: no force.
 
     Returns:
         Changes (2, 2 nv, N, h, 2 nv), up first, by the channel in error; zero in windows that diverge.
     """
     steps, channels = np.array(horizons) - 1, len(size)
-    there = replay.predict(xi[None], windows)[0][:, steps]
-    change = np.zeros((2, channels, *there.shape[:2], channels))
+    forces = np.zeros((1, replay.nv)) if forces is None else forces
+    there = [replay.predict(xi[None], windows, force[None])[0][:, steps] for force in forces]
+    change = np.zeros((2, channels, *there[0].shape[:2], channels))
     for channel in np.flatnonzero(size > 0):
+        which = channel % len(forces)
         for side, sign in enumerate((1.0, -1.0)):
             moved = started_beside(replay, windows, sign * size * (np.arange(channels) == channel))
-            change[side, channel] = replay.sim.states.difference(replay.predict(xi[None], moved)[0][:, steps], there)
+            ends = replay.predict(xi[None], moved, forces[which][None])[0][:, steps]
+            change[side, channel] = replay.sim.states.difference(ends, there[which])
     return np.nan_to_num(change, posinf=0.0, neginf=0.0)

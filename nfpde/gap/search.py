@@ -18,7 +18,8 @@ from nfpde.gap.far import Far
 from nfpde.gap.fit import Fit
 from nfpde.gap.found import Earlier, Found, remembers
 from nfpde.gap.halves import HeldOut, alike_halves
-from nfpde.gap.recordings import LEAD, WINDOW_TIME, Recordings, cut_recordings, joined
+from nfpde.gap.history import rows_before
+from nfpde.gap.recordings import Recordings, cut_recordings, joined
 from nfpde.gap.remembered import with_remembered
 from nfpde.gap.replay import Replay
 from nfpde.gap.select import MOST_EFFECTS, Selection
@@ -54,6 +55,8 @@ class Search:
     most: single control steps of each half, at most, where contacts are
     before: what an earlier search leaves to this one
     meets: whether anything touches anything in recorded states
+    force: typical generalized forces (nv,)
+    swapped: whether the halves have changed places
     """
 
     start: Replay
@@ -68,6 +71,8 @@ class Search:
     most: int = MOST
     before: Earlier | None = None
     meets: bool = False
+    force: Array | None = None
+    swapped: bool = False
 
     @property
     def touches(self) -> bool:
@@ -83,7 +88,9 @@ class Search:
         """
         history, past, rows = self._history()
         lead = rows if lead is None else lead
-        return cut_recordings(self.dataset, history, self.seed, self.windows, lead, held, past, self.computed)
+        most, computed = self.windows, self.computed
+        every = cut_recordings(self.dataset, history, self.seed, most, lead, held, past, computed, swapped=self.swapped)
+        return replace(every, force=self.force) if self.touches else every
 
     def run(self) -> tuple[Stage, Found]:
         """What was found, and the stage on which its gap is measured.
@@ -104,7 +111,21 @@ class Search:
             found.selection.steps += steps
         if not found.accepted and found.near is not stage:  # else all joints together were asked over these windows
             found = self._by_free_joints(stage, found)
-        return stage, found
+        return (stage, found) if found.accepted else self._other_way_round(stage, found)
+
+    def _other_way_round(self, stage: Stage, found: Found) -> tuple[Stage, Found]:
+        """What the other half finds and this one confirms, where nothing was found in this one and a gap is left.
+
+        One half may know no more of a value than on which side it lies: where nothing slides, friction is enough. What
+        is fitted there is any such value, which the other half, in which something slides, refutes.
+        """
+        if self.swapped or found.selection.at_floor(found.final):
+            return stage, found
+        self.report("the other half first")
+        search, steps = replace(self, swapped=True, before=Earlier.of(found)), found.selection.steps
+        again, other = search._to_the_end()
+        found.selection.steps = other.selection.steps = other.selection.steps + steps
+        return (again, other) if other.accepted else (stage, found)
 
     def _has_more(self, recordings: Recordings) -> bool:
         """Whether there are far more single steps than were looked at."""
@@ -160,7 +181,7 @@ class Search:
         first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=share)
         level = LEVEL if self.before is None else self.before.level
         selection = replace(self.select(first), last=len(lengths) == 1, level=level)
-        if self.touches:
+        if self.touches or self.before is not None:
             selection = _looking_again(selection)
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
@@ -280,7 +301,7 @@ class Search:
         by = self.after(stage, found.recordings, None, look=False, dofs=dofs)
         asked = replace(_looking_again(found.selection), last=True, untouched=True, ranking=[])
         by, asked, final, accepted = self._select(by, asked)
-        selection = replace(found.selection, steps=asked.steps)
+        selection = replace(found.selection, steps=asked.steps, level=asked.level)
         found = replace(found, selection=selection)
         if not accepted:
             return found
@@ -354,26 +375,12 @@ class Search:
         """
         fit = before.base.fit
         guesses = np.vstack([self.guesses, fit.xi])
-        base, court = first_fit(fit.replay, longer, guesses, capped=True, look=look, sigma=before.sigma, dofs=dofs)
-        return in_noise(base, court, longer, self.seed, known, share=before.misjudged)
+        base, court = first_fit(fit.replay, longer, guesses, capped=True, look=False, dofs=dofs)
+        return in_noise(base, court, longer, self.seed, known, share=before.misjudged, look=look)
 
     def _history(self) -> tuple[int, int, int]:
-        """Commands and states from before a window that are needed, and commands that any one candidate may need.
-
-        Any three candidates and the free effects may act by what was commanded before. States are needed as far back as
-        any of them recalls, from where a window begins or a longest window's time earlier (see `natural`).
-        """
-        effects, dt, known = [e for e, _ in self.candidates], self.dataset.control_dt, self.start.sim
-        recall = _steps(max((e.recall_time() for e in effects), default=0.0), dt)
-        recall = max(recall, known.past_steps(dt))
-        times = sorted((e.memory_time() for e in effects), reverse=True)[:3]
-        longest = known.memory_time + max(times, default=0.0)
-        earlier = round(WINDOW_TIME / dt)
-        if longest <= 0:
-            rows = recall + (earlier if self.touches else 0)
-            return rows, rows, 0
-        history = _steps(known.memory_time + sum(times), dt) + 2 + recall
-        return history, min(history, recall + earlier), _steps(min(longest, max(LEAD, 25 * dt)), dt)
+        """See `rows_before`."""
+        return rows_before([e for e, _ in self.candidates], self.dataset.control_dt, self.start.sim, self.touches)
 
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
@@ -389,7 +396,3 @@ def _moved(selection: Selection, near: Stage) -> Selection:
     """A selection on another stage, which knows nothing of what was asked about on the one before."""
     sigma = None if selection.sigma is None else near.sigma
     return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma, by_noise={}, scores={})
-
-
-def _steps(seconds: float, control_dt: float) -> int:
-    return int(np.ceil(seconds / control_dt - 1e-9))

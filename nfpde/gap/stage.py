@@ -12,13 +12,13 @@ from nfpde.gap.ends import at_ends
 from nfpde.gap.erring import misjudged
 from nfpde.gap.fit import Fit, Fitter
 from nfpde.gap.funnel import down_the_funnel
-from nfpde.gap.levels import CAPPED, Yardstick, calm, near_floor
+from nfpde.gap.levels import CAPPED, Yardstick, calm, shrink_interval
 from nfpde.gap.noise import Scatter, floor_of, learn_scatter, precision_of
 from nfpde.gap.quiet import quietened
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.sensors import sensor_noise
-from nfpde.gap.trial import Court, Trial, noise_of
+from nfpde.gap.trial import Court, Trial
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,6 @@ def first_fit(
     *,
     capped: bool,
     look: bool = True,
-    sigma: Array | None = None,
     dofs: NDArray[np.intp] | None = None,
 ) -> tuple[Trial, Court]:
     """The fit of the parameters alone, and the court that judges effects, before the noise of windows is known.
@@ -94,8 +93,6 @@ def first_fit(
         guesses: Free parameters to start from, the nominal ones first (G, D).
         capped: Whether contacts make a few residuals so large that they would outweigh all others.
         look: Whether to look all over the bounds too, where contacts are.
-        sigma: Noise of the sensors (2 nv,), where shorter windows have told it: a fit that leaves no more than that is
-            in no pit.
         dofs: Degrees of freedom that are looked at; None: all.
     """
     fitter, held = fitters(recordings, dofs)
@@ -103,7 +100,7 @@ def first_fit(
     first = fitter.residuals_at(start, guesses[:1])[0]
     scatter = learn_scatter(first, 0, floor_of(first, moved))
     fit, share = _improved(fitter, start, guesses, scatter), CAPPED if capped else 0.0
-    if capped and look and (sigma is None or not _is_noise(fitter, fit, sigma)):
+    if capped and look:
         fit = best_of_pits(fitter, fit, guesses)
     court = Court(
         recordings.block, fitter, held, floor_of(fit.residuals, moved), guesses[0], recordings.encoders, share
@@ -116,7 +113,9 @@ def first_fit(
 def fitters(recordings: Recordings, dofs: NDArray[np.intp] | None) -> tuple[Fitter, Fitter]:
     """What fits the windows of the first half, and what judges by those of the other."""
     horizons, channels = recordings.horizons, recordings.channels
-    first, second = (Fitter(half, horizons, None, dofs, channels) for half in (recordings.fit, recordings.held))
+    first, second = (
+        Fitter(half, horizons, None, dofs, channels, recordings.force) for half in (recordings.fit, recordings.held)
+    )
     return first, second
 
 
@@ -131,12 +130,6 @@ def best_of_pits(fitter: Fitter, fit: Fit, guesses: Array) -> Fit:
     everywhere = np.concatenate([guesses, evenly(start, LOOKS * start.nfree)])
     best = fitter.best(start, everywhere, fit.scatter, PITS)
     return min((fit, *(_improved(fitter, start, xi[None], fit.scatter) for xi in best)), key=lambda f: f.cost)
-
-
-def _is_noise(fitter: Fitter, fit: Fit, sigma: Array) -> bool:
-    """Whether noise of the sensors (2 nv,) leaves as much as a fit does, as far as its floor is known."""
-    yardstick = Yardstick.of(noise_of(fit, sigma, fitter, 0), fit.residuals)
-    return float(yardstick.gap(fit.residuals).mean()) < near_floor(float(yardstick.floor.mean()))
 
 
 def _improved(fitter: Fitter, start: Replay, guesses: Array, scatter: Scatter) -> Fit:
@@ -166,6 +159,7 @@ def in_noise(
     *,
     whole: bool = False,
     share: Array | float | None = None,
+    look: bool = False,
 ) -> Stage:
     """Residuals counted in how loud noise is in each window, and the parameters fitted once more.
 
@@ -177,6 +171,8 @@ def in_noise(
         known: A model that knows more than the base does: where contacts are, what a model lacks looks like noise.
         whole: Whether noise is followed in all its directions: what that takes grows with the square of the channels.
         share: By how much the noise of the sensors is misjudged, where an earlier stage has found it, see `Stage`.
+        look: Whether to look for the parameters all over their bounds, where contacts are, if more than noise is left:
+            where all windows count alike, what noise makes of a few hides what most of them say.
     """
     known = base.fit if known is None else known
     sigma = sensor_noise(known.replay, known.xi, recordings.rows, recordings.encoders)
@@ -193,13 +189,23 @@ def in_noise(
     found = fitter.start(base.fit.replay, base.fit.xi[None], base.fit.scatter)
     # to the end, as candidates are: else any of them, whatever it does, would take the rest of the way for its work
     found = court.converged(fitter.rescale(found, court.scatter(found)))
+    precision = precision_of(moved)
+    if court.capped and look and _leaves_more(court.judge(None, found), noise, court, precision, seed):
+        found = court.converged(best_of_pits(fitter, found, np.vstack([court.nominal, base.fit.xi])))
     if court.capped:
         found = at_ends(court, down_the_funnel(court, found))
     found = fitter.linearise(found)
     base = court.judge(None, found)
     nominal = court.held.residuals_at(found.replay, court.nominal[None])[0]
-    yardstick = Yardstick.of(noise, base.held, court.capped, precision_of(moved))
+    yardstick = Yardstick.of(noise, base.held, court.capped, precision)
     return Stage(recordings, nominal, base, court, yardstick, sigma, share)
+
+
+def _leaves_more(base: Trial, noise: Array, court: Court, precision: Array, seed: int) -> bool:
+    """Whether a base surely leaves more of the held-out windows than noise does (draws, N, nv, C)."""
+    yardstick = Yardstick.of(noise, base.held, court.capped, precision)
+    floor = yardstick.floor.mean((1, 2))
+    return shrink_interval(floor, yardstick.gap(base.held), court.block, seed)[2] < 0
 
 
 def _judged(fit: Fit, court: Court, moved: Array) -> tuple[Trial, Court]:

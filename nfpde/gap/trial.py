@@ -141,7 +141,7 @@ class Court:
 
 def noise_of(fit: Fit, sigma: Array, half: Fitter, seed: int) -> Array:
     """Residuals that noise of the sensors (2 nv,) alone gives, as a fit's model sees it (draws, N, nv, C)."""
-    return half.seen(noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS))
+    return half.seen(noise_residuals(fit.replay, fit.xi, half.windows, half.horizons, sigma, seed, DRAWS, half.force))
 
 
 def block_test(gain: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:
