@@ -72,7 +72,8 @@ def test_a_model_is_pushed_by_a_share_of_typical_forces():
     force = np.array([1.0, 20.0, 300.0])
     pushes = aside(force, 3)
     assert pushes.shape == (MODELS, 3)
-    assert np.sqrt((pushes**2).mean(0)) == pytest.approx(ASIDE * force, rel=2.0)
+    # the root mean square of so few errs by a third
+    assert np.sqrt((pushes**2).mean(0)) == pytest.approx(ASIDE * force, rel=0.8)
     np.testing.assert_array_equal(aside(2 * force, 3, 2), 2 * pushes[:2])
     np.testing.assert_array_equal(aside(None, 3), np.zeros((1, 3)))
     free = CART.replace('type="plane"', 'type="plane" contype="0" conaffinity="0"').replace(
