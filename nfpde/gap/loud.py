@@ -27,7 +27,7 @@ DRAWS = 12
 
 ASIDE, MODELS = 0.05, 6
 """Constant force by which a model is pushed aside, as a share of the typical one, and how many such models there are:
-what a weak effect would do, of which nobody knows where it acts."""
+what a weak effect would do, of which nobody knows where it acts. Half of it and six times as much do the same."""
 
 _PUSHES = 0
 """Seed of these."""

@@ -45,7 +45,7 @@ class Cause:
 
     Args:
         effect: Name in the effect library; all readings of an effect have its name.
-        target: Element it acts on; "" for one on the whole robot or world.
+        target: Element it acts on; `all`, `world` or `contact` for an effect on no single one.
         sentence: What the effect is, for a roboticist.
         parameters: Its fitted values by name.
         shrink: Share of the held-out gap that it removed, with its 95 % interval in `shrink_low`, `shrink_high`.
@@ -192,7 +192,7 @@ class GapReport:
         verdict: "effects": named effects explain the gap; "no_gap": the model, with its parameters fitted, predicts
             the recordings as well as their noise allows; "unexplained": a gap remains that no known effect explains.
         effects: Accepted causes, largest first.
-        ranking: Every candidate that was refitted in the first round, best first.
+        ranking: Every candidate that was refitted in the first round, in its best reading, largest shrink first.
         where: Joints by their share of the gap.
         gap: The ladder over all horizons; `horizons` the same for each, in control steps.
         distance: How far apart recorded and simulated states lie as distributions, at the longest horizon.
