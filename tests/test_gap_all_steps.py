@@ -99,8 +99,9 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
 
 @pytest.mark.parametrize(("below", "last", "accepted", "nothing"), [
     (True, False, [], False),  # a first effect is asked for
-    (True, False, [FOUND], True),  # a further one is not
+    (True, False, [FOUND], False),  # and a further one
     (False, False, [], True),  # some steps do not tell
+    (False, False, [FOUND], False),  # beside an effect no others are asked
     (False, True, [], False),
 ])  # fmt: skip
 def test_below_the_floor_of_noise_all_single_steps_are_asked(below, last, accepted, nothing):

@@ -11,8 +11,10 @@ import pytest
 from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, effect
 from nfpde.gap.acceptance import NOISE_TIMES
-from nfpde.gap.bootstrap import DRAWS, FIRST, HIDDEN, STILL, NoiseAlone, judging, no_more_than
+from nfpde.gap.bootstrap import DRAWS, FEWEST, FIRST, HIDDEN, PLAIN, STILL, NoiseAlone, judging, no_more_than
+from nfpde.gap.fit import Fitter
 from nfpde.gap.levels import Yardstick
+from nfpde.gap.loud import Loudness
 from nfpde.gap.natural import measured, natural
 from nfpde.gap.recordings import cut_recordings
 from nfpde.gap.replay import Replay
@@ -193,12 +195,28 @@ def test_what_lies_below_the_floors_own_error_is_asked_about_at_first():
 WINDOWS = 200
 
 
+class Counted:
+    """Windows that know their numbers."""
+
+    def __init__(self, count: int | np.ndarray) -> None:
+        self.number = np.arange(count) if isinstance(count, int) else count
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def __getitem__(self, index: np.ndarray) -> "Counted":
+        return Counted(self.number[index])
+
+
 class Given(NoiseAlone):
     """What noise gives in each draw is known [nats over all windows]."""
 
     def __init__(self, given: list[float]) -> None:
         self._court: Any = SimpleNamespace(held=SimpleNamespace(windows=range(WINDOWS)))
         self.given, self.draws = given, 0
+
+    def _part(self, enough: float) -> NoiseAlone:
+        return self
 
     def gain(self, trial, draw, enough=0.0):
         self.draws += 1
@@ -223,6 +241,50 @@ def test_draws_end_where_the_first_ones_give_next_to_nothing(given, enough, give
     noise = Given(given)
     assert noise.gives(ANYTHING, enough / WINDOWS) is gives
     assert noise.draws == draws
+
+
+@pytest.mark.parametrize(
+    ("windows", "enough", "count"),
+    [
+        (2 * FEWEST, PLAIN / FEWEST, FEWEST),
+        (2 * FEWEST - 1, PLAIN / FEWEST, None),  # hardly fewer than all
+        (1000, 100.0, FEWEST),
+        (1000, 0.99 * PLAIN / FEWEST, 2 * FEWEST),
+        (1000, PLAIN / (4 * FEWEST), 4 * FEWEST),
+        (1000, 0.99 * PLAIN / (4 * FEWEST), None),  # by chance as much may be gained on half of them
+        (3000, 0.0, None),
+    ],
+)
+def test_a_part_of_many_windows_is_asked_where_much_is_to_be_gained(windows, enough, count, monkeypatch):
+    """By window as much must be gained there as on all."""
+    asked: list[int] = []
+
+    def gain(noise: NoiseAlone, trial: Any, draw: int, enough: float) -> float:
+        asked.append(len(noise._court.held.windows))
+        return enough if draw else 0.0
+
+    def court_of(count: int) -> Any:
+        return SimpleNamespace(held=SimpleNamespace(windows=range(count)), some=court_of)
+
+    monkeypatch.setattr(NoiseAlone, "gain", gain)
+    assert NoiseAlone(court_of(windows), ANYTHING, np.zeros(2)).gives(ANYTHING, enough)
+    assert set(asked) == {count or windows}
+
+
+def test_part_of_a_court():
+    """As many windows of either half all over, each with its block and its noise."""
+    windows: Any = Counted
+    held, fitter = (Fitter(windows(n), (1,), Loudness(np.arange(n, dtype=float)[:, None, None])) for n in (90, 40))
+    court = Court(np.arange(90) // 3, fitter, held, np.zeros((1, 2)), np.zeros(1), ANYTHING, quiet=ANYTHING)
+    part = court.some(45)
+    assert len(part.fitter.windows) == 40  # all there are
+    assert len(part.held.windows) == 45
+    where = vars(part.held.windows)["number"]
+    assert (where[0], where[-1], np.diff(where).max()) == (0, 89, 3)
+    assert (part.block == where // 3).all()
+    for half in (part.fitter, part.held):
+        assert isinstance(half.noise, Loudness)
+        assert (half.noise.size[:, 0, 0] == vars(half.windows)["number"]).all()
 
 
 @pytest.mark.parametrize("count", range(FIRST, DRAWS))

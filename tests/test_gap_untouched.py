@@ -56,16 +56,20 @@ def test_noise_alone_seldom_stands_out():
 
 
 @pytest.mark.parametrize(
-    ("touches", "accepted", "expected"),
-    [(True, (), 4.0), (True, ("effect",), 1.0), (False, (), 1.0)],
+    ("touches", "accepted", "chance", "expected"),
+    [(True, (), False, 4.0), (True, (), True, NEAR_FLOOR), (True, ("effect",), False, 1.0), (False, (), False, 1.0)],
 )
-def test_a_joint_that_stands_out_and_is_not_explained_is_a_gap(touches, accepted, expected):
-    """Three joints leave next to nothing and a fourth leaves four floors: one in the mean."""
+def test_a_joint_that_stands_out_and_is_not_explained_is_a_gap(touches, accepted, chance, expected):
+    """Three joints leave next to nothing and a fourth leaves four floors: one in the mean.
+
+    Where noise has one stand out as far, there is no gap.
+    """
     rng = np.random.default_rng(10)
     noise, factors = rng.normal(size=(3, 60, 4, 8)), np.array([0.05, 0.05, 0.05, 2.0])[:, None]
     chosen: Any = selection(noise)
     chosen.sigma = np.ones(8) if touches else None
     chosen._floors = lambda trial: [chosen.yardstick.floor]
+    chosen.by_chance = lambda trial, least: chance
     left = rng.normal(size=(60, 4, 8)) * factors
     fit: Any = SimpleNamespace(residuals=left)
     final = Trial(None, fit, np.zeros(60), left, np.zeros(60))
@@ -93,10 +97,14 @@ def test_what_contacts_do_is_no_candidate_there():
 class Standing(Selection):
     """A selection that finds `more` effects beside what it is given, as long as a joint stands out."""
 
-    out, more = 2.0, 1
+    out, more, chance = 2.0, 1, False
 
     def beyond(self, trial: Any) -> float:
         return self.out
+
+    def by_chance(self, trial: Any, least: float) -> bool:
+        assert least == self.out
+        return self.chance
 
     def useful(self, base, trial, accepted):
         return trial, accepted
@@ -159,11 +167,15 @@ def stage_of(name: str) -> Any:
 LONG, PART = stage_of("all joints"), stage_of("joints that touch nothing")
 
 
-@pytest.mark.parametrize(("out", "more", "named"), [(2.0, 1, 2), (2.0, 0, 1), (1.4, 1, 1)])
-def test_longest_windows_are_searched_where_a_joint_stands_out(out, more, named, monkeypatch):
+@pytest.mark.parametrize(
+    ("out", "more", "chance", "named"), [(2.0, 1, False, 2), (2.0, 0, False, 1), (1.4, 1, False, 1), (2.0, 1, True, 1)]
+)
+def test_longest_windows_are_searched_where_a_joint_stands_out(out, more, chance, named, monkeypatch):
     """What was found on short windows stands there as it was, and one more is named; else all stays as it was."""
     monkeypatch.setattr(Standing, "out", out)
     monkeypatch.setattr(Standing, "more", more)
+    monkeypatch.setattr(Standing, "chance", chance)
+    asks = out > NEAR_FLOOR and not chance
     monkeypatch.setattr("nfpde.gap.search.asks_again", lambda *told: False)
     said: list[str] = []
     chosen = Standing(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), steps=5)
@@ -177,15 +189,16 @@ def test_longest_windows_are_searched_where_a_joint_stands_out(out, more, named,
     assert len(found.accepted) == named
     assert (found.near is LONG) is (named == 2)
     assert (found.final == ("all joints", final, True)) is (named == 1)
-    assert bool(said) is (out > NEAR_FLOOR)
+    assert bool(said) is asks
     # refits were counted, whether anything came of them or not
-    assert found.selection.steps == {2: 25, 1: 15 if out > NEAR_FLOOR else 5}[named]
+    assert found.selection.steps == {2: 25, 1: 15 if asks else 5}[named]
 
 
-@pytest.mark.parametrize(("out", "named"), [(1.4, 1), (2.0, 2)])
-def test_such_joints_are_asked_for_a_first_effect_though_none_stands_out(out, named, monkeypatch):
+@pytest.mark.parametrize(("out", "chance", "named"), [(1.4, False, 1), (2.0, False, 2), (2.0, True, 1)])
+def test_such_joints_are_asked_for_a_first_effect_though_none_stands_out(out, chance, named, monkeypatch):
     """What they leave after that, only where one does."""
     monkeypatch.setattr(Standing, "out", out)
+    monkeypatch.setattr(Standing, "chance", chance)
     chosen = Standing(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING, sigma=np.ones(2), untouched=True)
     base: Any = SimpleNamespace(fit=None)
     _, accepted = chosen.run(base)

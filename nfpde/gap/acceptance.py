@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from nfpde.gap.accepted import Accepted, key, simplest_first
 from nfpde.gap.bootstrap import NoiseAlone
+from nfpde.gap.chance import by_chance
 from nfpde.gap.far import Far
-from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, near_floor, shrink_interval
+from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, least_ratio, near_floor
 from nfpde.gap.rounds import Rounds
 from nfpde.gap.score import HeldScore
 from nfpde.gap.trial import APART, LEVEL, Trial, block_test, likelihood_test, noise_of
@@ -191,17 +192,28 @@ class Acceptance(Rounds):
 
     def stands_out(self, trial: Trial) -> bool:
         """Whether any joint has a gap that is surely not its noise."""
-        return self.beyond(trial) > NEAR_FLOOR
+        least = self.beyond(trial)
+        return least > NEAR_FLOOR and not self.by_chance(trial, least)
 
     def beyond(self, trial: Trial) -> float:
         """Gap at the joint where it is largest, in noise floors, the lower end of its 95 % interval."""
-        squares = self.yardstick.squares(trial.held).mean(2)
-        floors = [floor.mean(2) for floor in self._floors(trial)]
-        least = []
-        for dof in range(squares.shape[1]):
-            floor = max((f[:, dof] for f in floors), key=lambda f: float(f.mean()))
-            least.append(1.0 - shrink_interval(floor, squares[:, dof], self.court.block, NOISE_SEED)[2])
-        return max(least)
+        return self._beyond(trial.held, self._floors(trial))
+
+    def by_chance(self, trial: Trial, least: float) -> bool:
+        """Whether noise alone makes a joint stand out as far as that, where contacts make much of noise."""
+        if self.sigma is None:
+            return False
+        floors = self._floors(trial)
+        found = by_chance(trial.fit, self.sigma, self.court.held, lambda draw: self._beyond(draw, floors), least)
+        self.count(trial.fit.replay)
+        return found
+
+    def _beyond(self, residuals: Array, floors: Sequence[Array]) -> float:
+        by_joint = [floor.mean(2) for floor in floors]
+        largest = np.argmax([floor.mean(0) for floor in by_joint], axis=0)
+        floor = np.take_along_axis(np.array(by_joint), largest[None, None], axis=0)[0]
+        squares = self.yardstick.squares(residuals).mean(2)
+        return float(least_ratio(squares, floor, self.court.block, NOISE_SEED).max())
 
     def _floors(self, trial: Trial) -> list[Array]:
         """Squares that noise alone leaves (N, nv, C); where contacts are, as the trial's own model sees it, too.

@@ -43,6 +43,10 @@ anything below that."""
 SHARES = (1.0, 0.3, 0.1, 0.01)
 """Of what a candidate was fitted to be, from which it is fitted to noise."""
 
+FEWEST, PLAIN = 80, 20 * LEAST_GAIN
+"""Noise is asked on a part of the windows where a candidate must gain so much on them [nats]: what noise gives there by
+chance is far below that. It is at least so many of each half, twice as many, four times ..."""
+
 EXACT = 0.05
 """Share of what a candidate must gain, to which it is fitted to a draw: it is to be known whether noise gives as much,
 not how much it gives."""
@@ -63,16 +67,21 @@ class NoiseAlone:
         self._seed = seed
         self._made: list[tuple[Court, Trial]] = []
         self._gains: dict[tuple[Trial, int], float] = {}
+        self._parts: dict[int, NoiseAlone] = {}
 
     def gives(self, trial: Trial, enough: float) -> bool:
         """Whether a candidate gains as much held-out log density per window [nats] in any of the draws.
 
-        No further draw is fitted after one that does, nor where the first ones give next to nothing of it.
+        No further draw is fitted after one that does, nor where the first ones give next to nothing of it. Where much
+        is to be gained, a part of many windows is enough.
 
         Args:
             trial: The candidate beside the model, where both were fitted to the recordings.
             enough: What it must gain.
         """
+        part = self._part(enough)
+        if part is not self:
+            return part.gives(trial, enough)
         given = list[float]()
         least = HIDDEN / len(self._court.held.windows)
         for draw in range(DRAWS):
@@ -101,6 +110,17 @@ class NoiseAlone:
             better = best.fit.cost - found.fit.cost >= LEAST_GAIN
             self._gains[trial, draw] = court.gain(found, best)[0] if better else 0.0
         return self._gains[trial, draw]
+
+    def _part(self, enough: float) -> NoiseAlone:
+        """The same on as many windows as tell whether so much is gained on each [nats]; on all if half are too few."""
+        count, windows = FEWEST, len(self._court.held.windows)
+        while count * enough < PLAIN and 2 * count <= windows:
+            count *= 2
+        if 2 * count > windows:
+            return self
+        if count not in self._parts:
+            self._parts[count] = NoiseAlone(self._court.some(count), self._current, self._sigma, self._seed)
+        return self._parts[count]
 
     @cached_property
     def _truths(self) -> list[Windows]:

@@ -129,3 +129,14 @@ def shrink_interval(before: Array, after: Array, block: NDArray[np.intp], seed: 
     shrink = 1.0 - drawn[:, 1] / np.maximum(drawn[:, 0], 1e-300)
     low, high = np.quantile(shrink, [0.025, 0.975])
     return float(1.0 - after.sum() / max(float(before.sum()), 1e-300)), float(low), float(high)
+
+
+def least_ratio(gap: Array, floor: Array, block: NDArray[np.intp], seed: int) -> Array:
+    """Lower ends of 95 % intervals of means of columns over those of others (N, K) to (K,), by resampling blocks."""
+    groups, member = np.unique(block, return_inverse=True)
+    sums = (member == np.arange(len(groups))[:, None]) @ np.hstack([gap, floor])
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(len(groups), size=(_DRAWS, len(groups)))
+    times = np.array([np.bincount(row, minlength=len(groups)) for row in drawn])
+    above, below = np.hsplit(times @ sums, 2)
+    return np.quantile(above / np.maximum(below, 1e-300), 0.025, axis=0)

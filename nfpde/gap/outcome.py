@@ -14,7 +14,7 @@ from nfpde.gap.accepted import Accepted, called, key
 from nfpde.gap.certainty import standard_errors
 from nfpde.gap.distance import distance
 from nfpde.gap.fit import Fit
-from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, rare, shrink_interval
+from nfpde.gap.levels import FLOOR_ERROR, NEAR_FLOOR, Yardstick, least_ratio, rare, shrink_interval
 from nfpde.gap.lone import lone_windows
 from nfpde.gap.loud import noise_residuals
 from nfpde.gap.recordings import Recordings, blocks_of, joined
@@ -103,14 +103,21 @@ class Outcome:
         """Gap that is left in noise floors, the lower end of its 95 % interval.
 
         Where contacts open and close, few windows hold most of the noise and of the gap, and their ratio is uncertain.
-        A single joint may stand out all the same: where no effect was found, the joint with the largest ratio counts.
+        A single joint may stand out all the same: where no effect was found, the joint with the largest ratio counts,
+        unless noise makes one stand out as far.
         """
         if self._exact:
             return 0.0
-        floor = self.yardstick.floor.mean((1, 2))
-        least = 1.0 - shrink_interval(floor, self.yardstick.gap(self.final.held), self.recordings.block, self.seed)[2]
-        asked = self.selection.sigma is not None and not self.accepted
-        return max(least, self.selection.beyond(self.final)) if asked else least
+        floor, gap = self.yardstick.floor.mean((1, 2)), self.yardstick.gap(self.final.held)
+        least = float(least_ratio(gap[:, None], floor[:, None], self.recordings.block, self.seed)[0])
+        chosen = self.selection
+        if chosen.sigma is None or self.accepted:
+            return least
+        joint = chosen.beyond(self.final)
+        standing = max(joint, least)
+        if standing > NEAR_FLOOR and chosen.by_chance(self.final, standing):
+            return min(standing, NEAR_FLOOR)
+        return standing
 
     def rare(self) -> float:
         """Probability of the windows with the largest gap of both halves, were there nothing but noise."""

@@ -119,12 +119,13 @@ class Search:
         One half may know no more of a value than on which side it lies: where nothing slides, friction is enough. What
         is fitted there is any such value, which the other half, in which something slides, refutes.
         """
-        if self.swapped or found.selection.at_floor(found.final):
+        selection, final = found.selection, found.final
+        if self.swapped or selection.at_floor(final) or (self.touches and not selection.stands_out(final)):
             return stage, found
         self.report("the other half first")
-        search, steps = replace(self, swapped=True, before=Earlier.of(found)), found.selection.steps
+        search, steps = replace(self, swapped=True, before=Earlier.of(found)), selection.steps
         again, other = search._to_the_end()
-        found.selection.steps = other.selection.steps = other.selection.steps + steps
+        selection.steps = other.selection.steps = other.selection.steps + steps
         return (again, other) if other.accepted else (stage, found)
 
     def _has_more(self, recordings: Recordings) -> bool:

@@ -93,16 +93,16 @@ class Selection(Acceptance):
     def _nothing_left(self, current: Trial, accepted: Sequence[Accepted]) -> bool:
         """Whether what is left is not worth a search.
 
-        Beside contacts the floor is known to a factor only: on the last windows what is below it is searched, too, and
-        where all single steps are looked at for the first time.
+        Beside contacts the floor is known to a factor only: what is below it is searched, too, on the last windows,
+        where all single steps are looked at, and beside an effect, as no others are looked at for a second one.
         """
         if self.sigma is not None and self.spotless(current):
             return True
         if self.untouched:
             return bool(accepted) and not self.stands_out(current)
-        if self.sigma is not None and (self.last or (self.below and not accepted)):
-            return False
-        return self.at_floor(current) if accepted else self.in_noise(current)
+        if self.sigma is not None:
+            return not (accepted or self.last or self.below) and self.in_noise(current)
+        return bool(accepted) and self.at_floor(current)
 
     def _asks_for_twins(self, found: Trial) -> bool:
         """Whether another effect may do what the found one does, and better, though screening ranked it low.

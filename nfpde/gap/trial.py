@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,14 @@ class Court:
         worst = np.argsort(-(base.scatter.whiten(base.residuals) ** 2).sum((1, 2)), kind="stable")
         some = np.sort(np.concatenate([some, worst[~np.isin(worst, some)][: count - len(some)]]))
         return self.fitter.some(some), base.some(some)
+
+    def some(self, count: int) -> Court:
+        """The same on so many windows of either half, spread evenly over all, or on all if there are fewer."""
+        first, second = (
+            np.unique(np.linspace(0, len(half.windows) - 1, count).round().astype(np.intp))
+            for half in (self.fitter, self.held)
+        )
+        return replace(self, block=self.block[second], fitter=self.fitter.some(first), held=self.held.some(second))
 
     def settle(self, fit: Fit, rounds: int = 2, iterations: int = 4, kept: int = 0, last: float = LAST) -> Fit:
         """Fit, learn the scatter from what is left, and again, until both agree; see `Fitter.improve`."""
