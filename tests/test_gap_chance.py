@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
+from nfpde.gap.bootstrap import STILL
 from nfpde.gap.chance import ROUNDS, by_chance
 from nfpde.gap.fit import Fitter
 from nfpde.gap.levels import FLOOR_ERROR, least_ratio, shrink_interval
@@ -34,14 +36,36 @@ def size(residuals: Any) -> float:
     return float(np.mean(np.square(residuals)))
 
 
-def test_all_draws_are_looked_at_where_none_leaves_as_much(draws):
+class Told:
+    """What every draw leaves is given, one after the other."""
+
+    def __init__(self, *values: float) -> None:
+        self.values = iter(values)
+
+    def __call__(self, residuals: Any) -> float:
+        return next(self.values)
+
+
+@pytest.mark.parametrize(("last", "chance"), [(1.0, False), (4.0, True)])
+def test_all_draws_are_looked_at_where_they_scatter_as_far(last, chance, draws):
+    """Logarithms of plus and minus one, and four at the end: who leaves exp(2) is two deviations from the mean."""
+    logs = np.tile([-1.0, 1.0], ROUNDS * DRAWS // 2)
+    logs[-1] = last
     fit: Any = SimpleNamespace(number=0)
-    every = [np.random.default_rng([0, 1000 + n]).standard_t(5, size=(DRAWS, 60, 4, 2)) for n in range(ROUNDS)]
-    largest = max(size(draw) for draw in np.concatenate(every))
     # the floor that draws are compared by is known to a tenth
-    assert not by_chance(fit, ANYTHING, HELD, size, largest * (1 + FLOOR_ERROR) * 1.0001)
+    assert by_chance(fit, ANYTHING, HELD, Told(*np.exp(logs)), (1 + FLOOR_ERROR) * float(np.exp(2.0))) is chance
     assert len(draws) == len(set(draws)) == ROUNDS
-    assert by_chance(fit, ANYTHING, HELD, size, largest * (1 + FLOOR_ERROR) * 0.9999)
+
+
+@pytest.mark.parametrize(("share", "rounds"), [(1.01, 1), (0.99, 2)])
+def test_no_more_is_drawn_where_the_first_ones_tell(share, rounds, draws):
+    """Of a dozen draws, half of them at plus one, half at minus one, those to come are told by Student's quantile."""
+    deviation = (12 / 11) ** 0.5
+    bound = float(student.isf(STILL / ((ROUNDS - 1) * DRAWS), DRAWS - 1)) * (1 + 1 / 12) ** 0.5 * deviation
+    fit: Any = SimpleNamespace(number=0)
+    told = Told(*np.exp(np.tile([-1.0, 1.0], ROUNDS * DRAWS // 2)))
+    assert not by_chance(fit, ANYTHING, HELD, told, (1 + FLOOR_ERROR) * float(np.exp(share * bound)))
+    assert len(draws) == rounds
 
 
 def test_no_more_is_drawn_after_one_that_does(draws):

@@ -142,15 +142,16 @@ class NoiseAlone:
         return self._made[draw]
 
 
-def no_more_than(given: Sequence[float], least: float) -> float:
+def no_more_than(given: Sequence[float], least: float, total: int = DRAWS) -> float:
     """What none of the draws still to come gives, but for a chance of `STILL`, where some were given.
 
     Args:
         given: By the draws so far.
         least: Standard deviation that they have at least.
+        total: Draws in all.
     """
     count = len(given)
-    quantile = float(student.isf(STILL / (DRAWS - count), count - 1))
+    quantile = float(student.isf(STILL / (total - count), count - 1))
     return float(np.mean(given) + quantile * np.sqrt(1.0 + 1.0 / count) * max(np.std(given, ddof=1), least))
 
 
