@@ -99,7 +99,10 @@ def test_all_short_windows_are_searched_near_noise(left, again, found, longest, 
 
 @pytest.mark.parametrize(("below", "last", "accepted", "nothing"), [
     (True, False, [], False),  # a first effect is asked for
-    (True, False, [FOUND], False),  # and a further one
+    (True, False, [FOUND], False),  # and a second one
+    (True, False, [FOUND, FOUND], True),  # a third one is not
+    (False, False, [FOUND, FOUND], True),
+    (False, True, [FOUND, FOUND], False),
     (False, False, [], True),  # some steps do not tell
     (False, False, [FOUND], False),  # beside an effect no others are asked
     (False, True, [], False),

@@ -94,15 +94,17 @@ class Selection(Acceptance):
         """Whether what is left is not worth a search.
 
         Beside contacts the floor is known to a factor only: what is below it is searched, too, on the last windows,
-        where all single steps are looked at, and beside an effect, as no others are looked at for a second one.
+        where all single steps are looked at, and for a second effect, as no others are looked at for one.
         """
         if self.sigma is not None and self.spotless(current):
             return True
         if self.untouched:
             return bool(accepted) and not self.stands_out(current)
-        if self.sigma is not None:
-            return not (accepted or self.last or self.below) and self.in_noise(current)
-        return bool(accepted) and self.at_floor(current)
+        if self.sigma is None:
+            return bool(accepted) and self.at_floor(current)
+        if self.last or len(accepted) == 1:
+            return False
+        return self.at_floor(current) if accepted else not self.below and self.in_noise(current)
 
     def _asks_for_twins(self, found: Trial) -> bool:
         """Whether another effect may do what the found one does, and better, though screening ranked it low.
