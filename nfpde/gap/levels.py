@@ -122,10 +122,7 @@ def rare(gap: Array, noise: Array, block: NDArray[np.intp]) -> float:
 
 def shrink_interval(before: Array, after: Array, block: NDArray[np.intp], seed: int) -> tuple[float, float, float]:
     """1 - after/before of the mean gap, with a 95 % interval by resampling blocks of windows (N,)."""
-    groups = np.unique(block)
-    sums = np.array([[before[block == g].sum(), after[block == g].sum()] for g in groups])
-    rng = np.random.default_rng(seed)
-    drawn = sums[rng.integers(len(groups), size=(_DRAWS, len(groups)))].sum(1)
+    drawn = _resampled(np.stack([before, after], axis=1), block, seed)
     shrink = 1.0 - drawn[:, 1] / np.maximum(drawn[:, 0], 1e-300)
     low, high = np.quantile(shrink, [0.025, 0.975])
     return float(1.0 - after.sum() / max(float(before.sum()), 1e-300)), float(low), float(high)
@@ -133,10 +130,13 @@ def shrink_interval(before: Array, after: Array, block: NDArray[np.intp], seed: 
 
 def least_ratio(gap: Array, floor: Array, block: NDArray[np.intp], seed: int) -> Array:
     """Lower ends of 95 % intervals of means of columns over those of others (N, K) to (K,), by resampling blocks."""
-    groups, member = np.unique(block, return_inverse=True)
-    sums = (member == np.arange(len(groups))[:, None]) @ np.hstack([gap, floor])
-    rng = np.random.default_rng(seed)
-    drawn = rng.integers(len(groups), size=(_DRAWS, len(groups)))
-    times = np.array([np.bincount(row, minlength=len(groups)) for row in drawn])
-    above, below = np.hsplit(times @ sums, 2)
+    above, below = np.hsplit(_resampled(np.hstack([gap, floor]), block, seed), 2)
     return np.quantile(above / np.maximum(below, 1e-300), 0.025, axis=0)
+
+
+def _resampled(columns: Array, block: NDArray[np.intp], seed: int) -> Array:
+    """Sums of columns (N, K) over as many blocks as there are, drawn with replacement (draws, K)."""
+    sums = np.array([columns[block == g].sum(0) for g in np.unique(block)])
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(len(sums), size=(_DRAWS, len(sums)))
+    return np.array([sums[row].sum(0) for row in drawn])

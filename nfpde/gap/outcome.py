@@ -113,11 +113,9 @@ class Outcome:
         chosen = self.selection
         if chosen.sigma is None or self.accepted:
             return least
-        joint = chosen.beyond(self.final)
-        standing = max(joint, least)
-        if standing > NEAR_FLOOR and chosen.by_chance(self.final, standing):
-            return min(standing, NEAR_FLOOR)
-        return standing
+        standing = max(least, chosen.beyond(self.final))
+        noise = standing > NEAR_FLOOR and chosen.by_chance(self.final, standing)
+        return NEAR_FLOOR if noise else standing
 
     def rare(self) -> float:
         """Probability of the windows with the largest gap of both halves, were there nothing but noise."""
