@@ -1,6 +1,7 @@
 """The ladder where there is nothing to climb: models that reproduce their recordings to the last digit."""
 
 import json
+import re
 
 import pytest
 
@@ -43,6 +44,24 @@ def test_what_parameters_shrink_is_told_where_there_was_something():
     said = [summary("no_gap", gap, [], [], mass, None, NO_DISTANCE, 0.1) for gap in (plain, nothing)]
     assert any("shrinks the gap by 99.9%" in line for line in said[0])
     assert not any("shrinks" in line for line in said[1])
+
+
+def test_a_mere_number_has_no_unit_behind_it():
+    """A friction's coefficient is 0.8, not "0.8 -"."""
+    said = [
+        summary(
+            "no_gap",
+            Level(1.0, 1.0, 1.0, 1.0),
+            [],
+            [],
+            {"it": Fitted(0.8, 0.7, 0.9, unit, True)},
+            None,
+            NO_DISTANCE,
+            0.1,
+        )
+        for unit in ("-", "", "Nm")
+    ]
+    assert [re.findall(r"\(.*\)", line)[0] for _, line in said] == ["(0.8)", "(0.8)", "(0.8 Nm)"]
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,13 @@ def test_words_say_what_was_simulated(ctrl, more):
             assert np.abs(got).max() <= 1.2
 
 
+def test_several_commands_stand_in_brackets():
+    """Behind what to do with them, and nothing between."""
+    said = [text for text, _ in _proposals(nominal(), record(episodes=2, rows=60).windows(5), 100)]
+    assert said
+    assert all(re.match(r"[A-Z][^,]*(, up and down once)? \(\w+ (from|at) [-\d.]+", text) for text in said), said
+
+
 def test_a_step_to_the_recorded_end_ends_there():
     """And not half-way, where most commands are zero; one that is twice as high stays in the control range."""
     ends = [w.ctrl.max() for t, w in proposed(1.0 * (np.arange(500) % 10 < 2)) if t.startswith("Step")]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, make_simulator, of_robot, read_dataset
+from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, make_simulator, read_dataset
 from nfpde.cli.settings import build, options_from, refuse_idle
 from nfpde.estimation import CONFIGS, Method, NfpdeConfig, TrajectoryConfig, draw_fit, fit, tell, write_report
 from nfpde.sim import Device, runs_on
@@ -45,7 +45,8 @@ def command(
     same command goes on where an interrupted one stopped.
     """
     simulator = make_simulator(model, params, device)
-    dataset = of_robot(read_dataset(data, resample, differentiate, model), robot)
+    dataset = read_dataset(data, resample, differentiate, model)
+    dataset = dataset if robot is None else dataset.of_robot(robot)
     if method == "softmax":
         refuse_idle(context, ("clip",), "the method softmax")
     config = build(CONFIGS[method], settings, context, f"the method {method}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ from mujoco import MjModel
 from nfpde.benchmarks import BENCHMARKS
 from nfpde.dataset import Dataset, expand_names, load_dataset
 from nfpde.dataset.files import read_column_names
-from nfpde.elements import QPOS_WIDTHS, element_names, listed
+from nfpde.elements import QPOS_WIDTHS, element_names
 from nfpde.errors import BadDataset, BadInput
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device, MujocoSimulator, StateSpace, load_model
@@ -67,21 +66,6 @@ def read_dataset(path: Path, resample: float | None, differentiate: bool, model:
         return load_dataset(source)
     quaternions = _quaternions(source, load_model(model_file(model)), velocities=not differentiate)
     return load_dataset(source, resample=resample, quaternions=quaternions, differentiate=differentiate)
-
-
-def of_robot(dataset: Dataset, robot: str | None) -> Dataset:
-    """The recordings with one label, all without a label to choose.
-
-    Raises:
-        BadInput: no recording has the label.
-    """
-    if robot is None:
-        return dataset
-    chosen = [e for e in dataset if e.robot == robot]
-    if not chosen:
-        said = f"of {listed(dataset.robots)}" if dataset.robots else "that name no robot"
-        raise BadInput(f"there is no robot {robot!r} in these recordings {said}")
-    return replace(dataset, episodes=chosen)
 
 
 def _quaternions(source: Path, model: MjModel, *, velocities: bool) -> list[int]:

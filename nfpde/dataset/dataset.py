@@ -16,6 +16,7 @@ from nfpde.dataset.resample import resample_episode
 from nfpde.dataset.split import held_out_episodes
 from nfpde.dataset.timing import control_step, round_step, same_step
 from nfpde.dataset.windows import Windows, cut_windows
+from nfpde.elements import listed
 from nfpde.errors import BadDataset, BadInput
 
 
@@ -183,6 +184,21 @@ class Dataset:
     def subset(self, index: Sequence[int]) -> "Dataset":
         """The episodes at the positions `index`, in that order, with everything else unchanged."""
         return replace(self, episodes=[self.episodes[i] for i in index])
+
+    def of_robot(self, robot: str) -> "Dataset":
+        """The recordings of one robot.
+
+        Args:
+            robot: Its label.
+
+        Raises:
+            BadInput: No episode has it.
+        """
+        chosen = [i for i, e in enumerate(self.episodes) if e.robot == robot]
+        if not chosen:
+            said = f"of {listed(self.robots)}" if self.robots else "that name no robot"
+            raise BadInput(f"there is no robot {robot!r} in these recordings {said}")
+        return self.subset(chosen)
 
     def resample(
         self, control_dt: float, *, quaternions: Sequence[int] = (), max_gap: float | None = None

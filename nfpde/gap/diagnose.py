@@ -15,7 +15,7 @@ from nfpde.dataset import Dataset
 from nfpde.dataset.windows import check_count
 from nfpde.effects import DataScales, Effect, all_candidates
 from nfpde.elements import listed
-from nfpde.errors import BadDataset, BadInput, BadParameter
+from nfpde.errors import BadDataset, BadParameter
 from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.found import surely
@@ -134,13 +134,9 @@ def diagnose_gap(
 
 def _of_one(dataset: Dataset, robot: str | None) -> Dataset:
     """The recordings of one robot: what two differ by is no effect that a model lacks."""
-    names = dataset.robots
     if robot is not None:
-        if robot not in names:
-            said = f"of {listed(names)}" if names else "that name no robot"
-            raise BadInput(f"there is no robot {robot!r} in these recordings {said}")
-        return replace(dataset, episodes=[e for e in dataset if e.robot == robot])
-    if len(names) > 1:
+        return dataset.of_robot(robot)
+    if len(names := dataset.robots) > 1:
         raise BadDataset(
             f"these are recordings of {len(names)} robots ({listed(names)}), and a diagnosis is of one: choose one of "
             "them (robot=, --robot), or leave the labels away if they are the same"

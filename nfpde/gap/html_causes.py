@@ -137,9 +137,8 @@ def fitted_all(c: Cause) -> str:
 
 def fitted(v: Fitted) -> str:
     """A value with unit, interval, and a flag where it leans on its bound."""
-    unit = "" if v.unit in ("", "-") else f" {text(v.unit)}"
     flag = ' <span class="flag">▲ at its bound</span>' if v.at_bound else ""
-    return f"<b>{number(v.value)}</b>{unit} ({number(v.low)} to {number(v.high)}){flag}"
+    return f"<b>{number(v.value)}</b>{text(v.behind)} ({number(v.low)} to {number(v.high)}){flag}"
 
 
 def rivals(report: GapReport) -> str:

@@ -30,6 +30,11 @@ class Fitted:
     at_bound: bool = False
     """The value leans on the end of its admissible range, and does something there: a finding in itself."""
 
+    @property
+    def behind(self) -> str:
+        """The unit as it is written behind a number: nothing for a mere number."""
+        return "" if self.unit in ("", "-") else f" {self.unit}"
+
 
 @dataclass(frozen=True)
 class Rival:

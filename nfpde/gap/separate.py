@@ -95,8 +95,9 @@ def _proposals(model: mujoco.MjModel, windows: Windows, steps: int) -> list[tupl
     names, out = _command_names(model), list[tuple[str, Windows]]()
     for text, more, shape, (first, last) in tried:
         command = first + shape[:, None] * (last - first)
-        said = f"{text} {_ranges(names, first, last)}{more}, starting at rest"
-        out.append((said, _window(windows, rest, command)))
+        ranges = _ranges(names, first, last)
+        said = f"{text.rstrip(',') if ranges.startswith('(') else text} {ranges}"
+        out.append((f"{said}{more}, starting at rest", _window(windows, rest, command)))
     return out
 
 

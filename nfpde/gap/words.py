@@ -58,7 +58,7 @@ def summary(
         lines.append(f"Fitting the parameters alone shrinks the gap by {_share(1 - gap.after_parameters, 1)}.")
     lines += [_cause(c) for c in effects]
     lines += [
-        f"{c.effect}{_at(c.target)}: {name} leans on the end of what any robot has ({v.value:.4g} {v.unit}): look for "
+        f"{c.effect}{_at(c.target)}: {name} leans on the end of what any robot has ({v.value:.4g}{v.behind}): look for "
         "wrong units in the recordings or the model, or for something unknown that it stands in for."
         for c in effects
         for name, v in c.parameters.items()
@@ -77,7 +77,8 @@ def summary(
             f"alone makes {apart.noise_floor:.2g}."
         )
     lines += [
-        f"{name} leans on the end of its bounds ({value.value:.4g} {value.unit}): widen them, or doubt the model there."
+        f"{name} leans on the end of its bounds ({value.value:.4g}{value.behind}): widen them, or doubt the model "
+        "there."
         for name, value in base.items()
         if value.at_bound
     ]
@@ -141,7 +142,7 @@ def _first(verdict: Verdict, gap: Level, lone: tuple[int, str]) -> str:
 
 def _cause(c: Cause) -> str:
     values = ", ".join(
-        f"{name} {v.value:.4g} {v.unit} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
+        f"{name} {v.value:.4g}{v.behind} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
     )
     share = f"it accounts for {_share(c.shrink, 1)} of the gap"
     if c.shrink <= 0:
