@@ -1,5 +1,6 @@
 """How episodes begin: what was found without their first rows must hold there, too."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,7 +12,7 @@ from nfpde.effects import effect
 from nfpde.gap.begins import begins_otherwise
 from nfpde.gap.brief import brief
 from nfpde.gap.found import Found
-from nfpde.gap.recordings import cut_recordings
+from nfpde.gap.recordings import cut_recordings, joined
 from nfpde.gap.replay import Replay
 from nfpde.gap.search import Search
 from tests.test_gap_contacts import BLOCK, pushes
@@ -38,6 +39,41 @@ def test_a_fall_tells_what_rest_does_not():
     assert not begins_otherwise(alike, sigma, every, 10**6, 0.02, 0)  # there are no others
     # what noise leaves there is no contradiction: where it is a thousand times as loud, nothing is
     assert not begins_otherwise(alike, 1e3 * sigma, every, 20, 0.02, 0)
+
+
+@pytest.mark.parametrize("chance", [False, True])
+def test_what_noise_does_there_now_and_then_contradicts_nothing(chance, monkeypatch):
+    """Falls are few and loud: what is shown there, far beyond noise on average, is held against single draws of it."""
+    every = brief(cut_recordings(pushes(0.5, height=-0.01, noise=1e-6), 0, 0, 160))[0]
+    sigma = np.array([1e-6, 1e-6, 1e-5, 1e-5])
+    height, damping = effect("ground_height", height=(-0.1, 0.1)), effect("viscous_damping", "up", damping=(0, 20))
+    alike, asked = final(height, damping, values=[-0.01, 2.0]), list[float]()
+
+    def by_chance(fit, sigma, there, excess, least):
+        assert (there.windows.row < 20).all()
+        assert least == excess(there.residuals_at(fit.replay, fit.xi[None])[0])
+        asked.append(least)
+        return chance
+
+    monkeypatch.setattr("nfpde.gap.begins.by_chance", by_chance)
+    assert begins_otherwise(alike, sigma, every, 20, 0.02, 0) is not chance
+    assert not begins_otherwise(alike, 1e3 * sigma, every, 20, 0.02, 0)
+    assert len(asked) == 1, "what noise does on average needs no such look"
+
+
+@pytest.mark.parametrize(("row", "otherwise"), [(0, False), (6, True), (40, False)])
+def test_the_first_row_says_nothing_of_what_was_found(row, otherwise):
+    """Robots are put down so that they just touch, and noise decides whether they do; later rows are the model's work.
+
+    Here one row's speed is wrong: what is simulated from there is, too. Where it is no beginning, nothing is.
+    """
+    data = pushes(0.5, noise=1e-6)
+    episodes = [replace(e, qvel=e.qvel + 0.1 * (np.arange(len(e)) == row)[:, None]) for e in data]
+    every = brief(cut_recordings(replace(data, episodes=episodes), 0, 0, 160))[0]
+    sigma = np.array([1e-6, 1e-6, 1e-5, 1e-5])
+    truth = final(effect("ground_height", height=(-0.1, 0.1)), values=[0.0])
+    assert (joined(every.fit, every.held).row == row).any()
+    assert begins_otherwise(truth, sigma, every, 20, 0.02, 0) is otherwise
 
 
 class Beginning(Search):

@@ -8,7 +8,7 @@ import pytest
 
 from nfpde.effects import effect
 from nfpde.gap.levels import Yardstick
-from nfpde.gap.search import Search, _moved
+from nfpde.gap.search import Search
 from nfpde.gap.select import Selection
 from nfpde.gap.stage import Stage
 from nfpde.gap.trial import Court, Trial
@@ -46,7 +46,7 @@ def hid(left: float, before: float, after: float) -> bool:
     trial = Trial(None, ANYTHING, np.zeros(60), left * np.random.default_rng(2).normal(size=SHAPE), np.zeros(60))
     search = Search(ANYTHING, ANYTHING, [], np.zeros((1, 0)), 80, 0, ANYTHING, ANYTHING)
     near = stage(before)
-    selection = _moved(Selection(ANYTHING, None, 1, COURT, [], yardstick=near.yardstick), near)
+    selection = Selection(ANYTHING, None, 1, COURT, [], yardstick=near.yardstick).over(near)
     return search._may_hide(near, selection, trial) and search._hid(stage(after), selection, trial)
 
 

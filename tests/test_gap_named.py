@@ -11,7 +11,6 @@ from nfpde.effects import effect
 from nfpde.gap.fit import Fitter
 from nfpde.gap.found import Found, _differs, surely
 from nfpde.gap.levels import Yardstick
-from nfpde.gap.search import _looking_again
 from nfpde.gap.select import Selection
 from nfpde.gap.trial import LEVEL, Court, Trial
 from tests.gap_straight import ByGain
@@ -236,7 +235,7 @@ def test_all_looks_together_have_one_level():
     selection, spent = ByGain(ANYTHING, None, 1, ANYTHING, [], yardstick=ANYTHING), 0.0
     assert selection.level == LEVEL
     for _ in range(20):
-        selection = _looking_again(selection)
+        selection = selection.looking_again()
         spent += selection.level
     assert spent == pytest.approx(LEVEL, rel=1e-5)
     assert spent < LEVEL

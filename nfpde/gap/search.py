@@ -183,7 +183,7 @@ class Search:
         level = LEVEL if self.before is None else self.before.level
         selection = replace(self.select(first), last=len(lengths) == 1, level=level)
         if self.touches or self.before is not None:
-            selection = _looking_again(selection)
+            selection = selection.looking_again()
         if whole:
             selection = replace(selection, far=Far(recordings, court.capped))
         hidden = whole and self.before is None and self._in_noise(first, lengths[-1], selection)
@@ -192,7 +192,7 @@ class Search:
             lengths = brief(recordings, EVERY)
             base, court = moved_over(first.base, court, lengths[0])
             first = in_noise(base, court, lengths[0], self.seed, whole=whole, share=first.misjudged)
-            selection = replace(_moved(selection, first), below=True)
+            selection = replace(selection.over(first), below=True)
         # what a start's velocity does hangs on what is accepted: where nobody measured it, it is asked anew each time
         unmeasured = recordings.positions_alone
         if unmeasured:
@@ -225,7 +225,7 @@ class Search:
         for longer in lengths[1:]:
             self.report("longer windows")
             stage = self.after(near, longer, final.fit if accepted else None)
-            selection = replace(_looking_again(selection), last=longer is lengths[-1], below=False)
+            selection = replace(selection.looking_again(), last=longer is lengths[-1], below=False)
             near, selection, final, accepted = self._select(stage, selection, (final, accepted))
         return Found(recordings, near, selection, final, accepted, early, halves=held, every=hidden)
 
@@ -256,7 +256,7 @@ class Search:
         """
         stage = self.after(found.near, found.recordings, found.final.fit if found.accepted else None, look=False)
         final = stage.shown(found.final, refitted=True) if found.accepted else stage.base
-        if asks_again(_moved(found.selection, stage), stage, final, found):
+        if asks_again(found.selection.over(stage), stage, final, found):
             self.report("the longest windows, which tell more")
             stage, found, final = self._told_by(stage, found, final)
         selection = replace(found.selection, court=stage.court, yardstick=stage.yardstick, far=None)
@@ -266,7 +266,7 @@ class Search:
         over = replace(found, selection=selection, final=final, accepted=accepted)
         if selection.stands_out(final):
             self.report("joints that stand out over longer windows")
-            asked = replace(_looking_again(selection), last=True, untouched=True)
+            asked = replace(selection.looking_again(), last=True, untouched=True)
             near, asked, final, more = self._select(stage, asked, (final, accepted), further=True)
             if len(more) > len(accepted):
                 return near, replace(found, near=near, selection=asked, final=final, accepted=more)
@@ -279,7 +279,7 @@ class Search:
         How well values are known is left to the short ones: slopes that are sharper than jumps are far apart would have
         it that long ones know them to a thousandth.
         """
-        selection = replace(_looking_again(found.selection), far=None, last=False, below=False)
+        selection = replace(found.selection.looking_again(), far=None, last=False, below=False)
         by, selection, final, accepted = self._select(stage, selection, (shown, found.accepted))
         found.selection.steps = selection.steps
         if not accepted:
@@ -300,7 +300,7 @@ class Search:
             return found
         self.report("joints that touch nothing")
         by = self.after(stage, found.recordings, None, look=False, dofs=dofs)
-        asked = replace(_looking_again(found.selection), last=True, untouched=True, ranking=[])
+        asked = replace(found.selection.looking_again(), last=True, untouched=True, ranking=[])
         by, asked, final, accepted = self._select(by, asked)
         selection = replace(found.selection, steps=asked.steps, level=asked.level)
         found = replace(found, selection=selection)
@@ -322,13 +322,13 @@ class Search:
         further: bool = False,
     ) -> tuple[Stage, Selection, Trial, list[Accepted]]:
         """Select on a stage, and anew from where the parameters got unstuck; see `Selection.run`."""
-        selection = _moved(selection, near)
+        selection = selection.over(near)
         final, accepted = selection.run(near.base, earlier, further=further)
         for _ in range(MOST_EFFECTS):
             if accepted or final is near.base:
                 break
             near = near.at(final)
-            selection = replace(_moved(selection, near), ranking=[])
+            selection = replace(selection.over(near), ranking=[])
             final, accepted = selection.run(near.base, earlier, further=further)
         return near, selection, final, accepted
 
@@ -337,7 +337,7 @@ class Search:
         if not selection.at_floor(first.base) or selection.spotless(first.base):
             return False
         stage = self.after(first, longer, None)
-        return _moved(selection, stage).at_floor(stage.base)
+        return selection.over(stage).at_floor(stage.base)
 
     def _may_hide(self, near: Stage, selection: Selection, final: Trial) -> bool:
         """Whether noise that was believed too large, without what was found, may have hidden more.
@@ -353,7 +353,7 @@ class Search:
 
     def _hid(self, anew: Stage, selection: Selection, final: Trial) -> bool:
         """Whether less noise (`anew`) hides less: in smooth motion what was below its floor may be above it now."""
-        return self.touches or not _moved(selection, anew).at_floor(anew.shown(final, refitted=False))
+        return self.touches or not selection.over(anew).at_floor(anew.shown(final, refitted=False))
 
     def after(
         self,
@@ -386,14 +386,3 @@ class Search:
     def _lengths(self, recordings: Recordings) -> list[Recordings]:
         """The recordings in windows of the lengths that are fitted, shortest first."""
         return (brief(recordings, self.most) if self.touches else []) or [recordings]
-
-
-def _looking_again(selection: Selection) -> Selection:
-    """A selection for another look at the recordings: each has half the level of the one before, all together one."""
-    return replace(selection, level=selection.level / 2)
-
-
-def _moved(selection: Selection, near: Stage) -> Selection:
-    """A selection on another stage, which knows nothing of what was asked about on the one before."""
-    sigma = None if selection.sigma is None else near.sigma
-    return replace(selection, court=near.court, yardstick=near.yardstick, sigma=sigma, by_noise={}, scores={})

@@ -13,6 +13,7 @@ from nfpde.gap.accepted import Accepted, called, key
 from nfpde.gap.fit import Fit
 from nfpde.gap.funnel import down_the_funnel
 from nfpde.gap.levels import FLOOR_ERROR
+from nfpde.gap.stage import Stage
 from nfpde.gap.trial import APART, LEAST_GAIN, Trial, block_test
 
 Array = NDArray[np.float64]
@@ -36,6 +37,15 @@ class Selection(Acceptance):
     ranking: list[Trial] = field(default_factory=list)
     most: int = MOST_EFFECTS
     asked: bool = False
+
+    def looking_again(self) -> Selection:
+        """For another look at the recordings: each has half the level of the one before, all together one."""
+        return replace(self, level=self.level / 2)
+
+    def over(self, near: Stage) -> Selection:
+        """On another stage: it knows nothing of what was asked about on the one before."""
+        sigma = None if self.sigma is None else near.sigma
+        return replace(self, court=near.court, yardstick=near.yardstick, sigma=sigma, by_noise={}, scores={})
 
     def run(
         self, base: Trial, earlier: tuple[Trial, list[Accepted]] | None = None, *, further: bool = False
