@@ -217,7 +217,7 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
 
     for name in ("flow/model.py", "flow/__init__.py", "losses.py", "ot.py"):
         write(name, "0")
-    lazily = "def f():\n    from nfpde.losses import g, h\n"
+    lazily = "def f():\n    from nfpde.losses import g, h\n    from nfpde.gap.words import summary\n"
     seen = [write("gap/diagnose.py", "1"), write("gap/diagnose.py", "from nfpde.gap.search import f")]
     seen += [write("gap/search.py", lazily), write("bench/gap/faults/wind.py", "1")]
     seen += [write("bench/gap/models/sled.xml", "a"), write("losses.py", "1")]
@@ -227,6 +227,7 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
     assert len({*seen}) == len(seen) == 11
     for name in (
         "gap/html_report.py",
+        "gap/words.py",
         "bench/gap/table.py",
         "bench/ot.py",
         "cli/bench.py",
@@ -244,6 +245,7 @@ def test_the_fingerprint_is_of_what_decides(tmp_path, monkeypatch):
 def test_the_fingerprint_has_the_diagnosis_and_not_the_fit():
     names = {p.relative_to(code.PACKAGE).as_posix() for p in kept.deciding()}
     assert {"gap/answer.py", "bench/gap/score.py", "estimation/trajectory/student.py", "parameters.py"} <= names
+    assert not {"gap/words.py", "gap/written.py", "gap/html_report.py"} & names
     assert not {"__init__.py", "bench/gap/table.py", "cli/bench.py", "estimation/fit.py", "flow/model.py"} & names
     warp = {"kernels/loss.py", "sim/warp.py", "sim/warp_batch.py"}
     assert not warp & names

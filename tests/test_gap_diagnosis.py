@@ -171,6 +171,7 @@ def test_differences_of_rounding_are_no_gap():
     report = diagnose_gap(nominal(), data, windows=40)
     assert (report.verdict, list(report.effects)) == ("no_gap", [])
     assert max(max(abs(t.before - t.measured)) for t in report.traces) > 0
+    assert {t.unit for t in report.traces} <= {f"{unit}, from the window's start" for unit in ("rad", "rad/s")}
 
 
 def test_an_effect_may_be_one_of_the_free_parameters():

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from nfpde.gap.html_svg import number, percent, table, text
 from nfpde.gap.report import Cause, Fitted, GapReport, Level
+from nfpde.gap.written import with_interval
 
 _FIRST = 10
 """Causes shown at once; the others unfold."""
@@ -138,7 +139,8 @@ def fitted_all(c: Cause) -> str:
 def fitted(v: Fitted) -> str:
     """A value with unit, interval, and a flag where it leans on its bound."""
     flag = ' <span class="flag">▲ at its bound</span>' if v.at_bound else ""
-    return f"<b>{number(v.value)}</b>{text(v.behind)} ({number(v.low)} to {number(v.high)}){flag}"
+    value, interval = with_interval(v)
+    return f"<b>{value}</b>{text(v.behind)} ({interval}){flag}"
 
 
 def rivals(report: GapReport) -> str:

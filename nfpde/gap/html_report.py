@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
-
-from nfpde.elements import element_names
 from nfpde.gap.drawing_summary import draw_summary
 from nfpde.gap.html_causes import called, distance, fitted, ladder, ranking, rivals
 from nfpde.gap.html_curves import horizons, residual_force, traces
@@ -14,6 +11,7 @@ from nfpde.gap.html_robot import gap_map, where
 from nfpde.gap.html_style import STYLE
 from nfpde.gap.html_svg import number, percent, table, text
 from nfpde.gap.report import GapReport
+from nfpde.gap.written import channel_unit, joint_unit
 from nfpde.storage import write_whole
 
 _BADGE = {"effects": "✓ explained", "no_gap": "✓ no gap", "unexplained": "✗ not explained"}
@@ -93,15 +91,6 @@ def headline(report: GapReport) -> str:
     return f"A gap remains{place}{found} that no effect in the library explains."
 
 
-def _unit(model: mujoco.MjModel, joint: str) -> str:
-    """Unit of a joint's position."""
-    names = element_names(model, "joint")
-    if joint not in names:
-        return "rad or m"
-    kind = int(model.jnt_type[names.index(joint)])
-    return {int(mujoco.mjtJoint.mjJNT_SLIDE): "m", int(mujoco.mjtJoint.mjJNT_FREE): "m or rad"}.get(kind, "rad")
-
-
 def _base(report: GapReport) -> str:
     if not report.base:
         return "<p>No parameter was free.</p>"
@@ -112,13 +101,14 @@ def _base(report: GapReport) -> str:
 def _noise(report: GapReport) -> str:
     if not report.sensor_noise:
         return "<p>No sensor noise was estimated.</p>"
-    rows = [[text(name), number(value)] for name, value in report.sensor_noise.items()]
+    model, noise = report.model, report.sensor_noise.items()
+    rows = [[text(name), f"{number(value, 3)} {channel_unit(model, name)}"] for name, value in noise]
     body = table(["channel", "standard deviation"], rows)
     if len(rows) > 12:
         body = f"<details><summary>{len(rows)} channels</summary>{body}</details>"
     if not report.encoder_error:
         return body
-    rows = [[text(j), f"{number(error)} {_unit(report.model, j)}"] for j, error in report.encoder_error.items()]
+    rows = [[text(j), f"{number(error)} {joint_unit(model, j)}"] for j, error in report.encoder_error.items()]
     return body + table(["joint at rest", "reads too high by"], rows)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from nfpde.dataset import Windows
 from nfpde.gap.fit import Fit
 from nfpde.gap.report import Trace
+from nfpde.gap.written import channel_unit
 
 TRACES = 6
 
@@ -36,8 +37,7 @@ def traces(chosen: Windows, before: Fit, after: Fit, names: Sequence[str]) -> li
         measured, simulated, repaired = (np.concatenate([[0.0], m]) for m in moved)
         time = (chosen.row[i] + np.arange(chosen.horizon + 1)) * chosen.control_dt
         label = states.channels[channel]
-        unit = "rad or m" if label.startswith("qpos") else "rad/s or m/s"
         episode = names[int(chosen.episode[i])]
-        text = f"{unit}, from the window's start"
+        text = f"{channel_unit(before.replay.sim.model, label)}, from the window's start"
         out.append(Trace(episode, label, text, time, measured, simulated, repaired))
     return out

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from nfpde.gap.inertia import NAME, is_told, stays
 from nfpde.gap.levels import NEAR_FLOOR
 from nfpde.gap.report import Cause, Distance, Fitted, Level, Place, ResidualForce, Verdict
+from nfpde.gap.written import with_interval
 
 WHEN = {
     "rest": "where it hardly moves",
@@ -113,6 +114,11 @@ def _at(target: str) -> str:
     return f" at {target}" if target else ""
 
 
+def _value(v: Fitted) -> str:
+    number, interval = with_interval(v)
+    return f"{number}{v.behind} ({interval})"
+
+
 def _share(value: float, digits: int) -> str:
     """A share in percent, as a power of ten where it is many times the whole."""
     return f"{value:.{digits}%}" if abs(value) < _LARGE else f"{100 * value:.1e}%"
@@ -141,9 +147,7 @@ def _first(verdict: Verdict, gap: Level, lone: tuple[int, str]) -> str:
 
 
 def _cause(c: Cause) -> str:
-    values = ", ".join(
-        f"{name} {v.value:.4g}{v.behind} ({v.low:.4g} to {v.high:.4g})" for name, v in c.parameters.items()
-    )
+    values = ", ".join(f"{name} {_value(v)}" for name, v in c.parameters.items())
     share = f"it accounts for {_share(c.shrink, 1)} of the gap"
     if c.shrink <= 0:
         share = "it shows in few windows, none of them among those held out"

@@ -19,6 +19,9 @@ DECIDES = ("bench/gap", "gap/diagnose.py")
 SHOWS = ("__init__.py", "curve.py", "kept.py", "run.py", "summary.py", "table.py", "workers.py")
 """Here: what shows answers, or has them made."""
 
+TELLS = ("gap/words.py", "gap/traces.py")
+"""What writes an answer down once it stands."""
+
 SAME = ("seed", "kind", "limit", "diagnosis", "versions", "code")
 """Facts that two tables must share if a row of one is to stand in the other."""
 
@@ -41,11 +44,8 @@ def deciding(device: str = "cpu") -> set[Path]:
     """
     here = code.PACKAGE / "bench" / "gap"
     files = [p for p in code.files_in(DECIDES) if p.parent != here or p.name not in SHOWS]
-    return code.with_imports(files, lambda path: device == "cpu" and _on_warp(path))
-
-
-def _on_warp(path: Path) -> bool:
-    return path.relative_to(code.PACKAGE).as_posix().startswith(ON_WARP)
+    idle = TELLS + (ON_WARP if device == "cpu" else ())
+    return code.with_imports(files, lambda path: path.relative_to(code.PACKAGE).as_posix().startswith(idle))
 
 
 def kept_rows(path: Path, facts: Mapping[str, Any]) -> dict[int, Row]:
