@@ -10,7 +10,7 @@ PACKAGE = ROOT / "nfpde"
 
 # A unit may import only units of the rows above it; units of one row never import each other.
 ROWS = [
-    {"errors", "kernels", "starting"},
+    {"decimals", "errors", "kernels", "starting"},
     {"storage"},
     {"progress", "checkpoint"},
     {"parameters"},

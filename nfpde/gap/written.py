@@ -6,6 +6,7 @@ import math
 
 import mujoco
 
+from nfpde.decimals import places_of, rounded
 from nfpde.elements import element_names
 from nfpde.gap.report import Fitted
 
@@ -22,20 +23,8 @@ def with_interval(v: Fitted) -> tuple[str, str]:
     if not (math.isfinite(half) and math.isfinite(v.value) and half > 0):
         numbers = [f"{x:.{_DIGITS}g}" if math.isfinite(x) else "–" for x in (v.value, v.low, v.high)]
     else:
-        places = 1 - math.floor(math.log10(half))
-        numbers = [_rounded(x, places) for x in (v.value, v.low, v.high)]
+        numbers = [rounded(x, places_of(half)) for x in (v.value, v.low, v.high)]
     return numbers[0], f"{numbers[1]} to {numbers[2]}"
-
-
-def _rounded(value: float, places: int) -> str:
-    """A number to so many places behind the point, of which there may be less than none."""
-    near = round(value, places)
-    if near == 0:
-        return "0"
-    digits = math.floor(math.log10(abs(near))) + places + 1  # significant ones
-    if 1e-4 <= abs(near) < 1e6:
-        return f"{near:.{max(places, 0)}f}"
-    return f"{near:.{max(digits - 1, 0)}e}"
 
 
 def joint_unit(model: mujoco.MjModel, joint: str) -> str:

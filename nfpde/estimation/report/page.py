@@ -9,9 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nfpde.errors import BadInput
+from nfpde.estimation.report.numbers import number, with_std
 from nfpde.estimation.report.pictures import draw_errors, draw_pairs, most_interesting
 from nfpde.estimation.result import FitResult
 from nfpde.storage import write_whole
@@ -117,8 +116,8 @@ def _told(result: FitResult) -> str:
                 escape(p.name),
                 escape(row["words"]),
                 f'<span class="bar"><i style="width:{100 * (1 - row["left_of_prior"]):.0f}%"></i></span>',
-                _number(float(xi[:, i].mean())) + " ± " + _number(float(xi[:, i].std())) + f" {escape(p.unit)}",
-                f"{p.low:g} to {p.high:g}",
+                with_std(float(xi[:, i].mean()), float(xi[:, i].std())) + escape(f" {p.unit}" if p.unit != "-" else ""),
+                f"{p.low:.4g} to {p.high:.4g}",
                 f'<span class="warn">{" and ".join(hits)}</span>' if hits else "none",
             ]
         )
@@ -146,7 +145,7 @@ def _next(info: dict[str, Any]) -> str:
 
 def _errors(info: dict[str, Any]) -> str:
     columns = ("before", "after", "sensor", "simulation")
-    rows = [[escape(name), *(_number(row[c]) for c in columns)] for name, row in info["residuals"].items()]
+    rows = [[escape(name), *(number(row[c]) for c in columns)] for name, row in info["residuals"].items()]
     note = (
         '<p class="note">Root mean square, in the recorded units, one window ahead. Before: every parameter in the '
         "middle of its bounds. What is left is put down to errors of the measured states, which a window's start hands "
@@ -173,24 +172,26 @@ def _population(info: dict[str, Any]) -> str:
         f"<p>Robots left out are predicted with {found['held_out']:.2f} ± {found['held_out_error']:.2f} nats a robot "
         f"more than by the bounds alone, so the population of the others {used}.</p>"
         + _table(["population", "held-out log likelihood above the bounds' [nats a robot]"], rows)
+        + '<p class="note">Bold: the one that was taken. Smoothed posteriors give way only to what gains more than the '
+        "gain's standard error over the robots.</p>"
     )
 
 
 def _robots(result: FitResult) -> str:
-    info, names = result.info, list(result.distribution.space.names)
-    rows = []
+    info, space, rows = result.info, result.distribution.space, []
     for robot in info["robots"][:MOST_ROBOTS]:
         sampling = robot["sampling"]
         how = f"{sampling['effective']:.0f} of {sampling['draws']}" + (
             "" if sampling["simulated"] else ", Laplace's instead"
         )
         cells = []
-        for name in names:
+        for name in space.names:
             p = robot["parameters"][name]
-            shown = f"{_number(p['value'])} ± {_number(p['std'])}"
+            shown = with_std(p["value"], p["std"])
             cells.append(f'<span class="warn">{shown}</span>' if p["leans_on"] else shown)
         rows.append([escape(robot["robot"]), str(robot["windows"]), str(robot["modes"]), how, *cells])
-    heads = ["robot", "windows", "modes", "effective draws", *map(escape, names)]
+    named = [escape(f"{p.name} [{p.unit}]" if p.unit else p.name) for p in space]
+    heads = ["robot", "windows", "modes", "effective draws", *named]
     return f'<div class="wide">{_table(heads, rows)}</div><p class="note">Red: leans on a bound.</p>'
 
 
@@ -224,7 +225,3 @@ def _list(lines: Iterable[str]) -> str:
 
 def _image(png: bytes, text: str) -> str:
     return f'<img alt="{escape(text)}" src="data:image/png;base64,{b64encode(png).decode()}">'
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "unknown"

@@ -1,0 +1,24 @@
+"""Numbers for people, as precisely as they are known."""
+
+from __future__ import annotations
+
+import math
+
+
+def places_of(error: float) -> int:
+    """Places behind the point up to the second digit of an error above zero; less than none in front of it."""
+    return 1 - math.floor(math.log10(error))
+
+
+def rounded(value: float, places: int) -> str:
+    """A finite number to so many places behind the point, zeros written; what rounds to nothing is 0, without a sign.
+
+    Powers of ten are written below 1e-4 and from a million on.
+    """
+    near = round(value, places)
+    if near == 0:
+        return "0"
+    first = math.floor(math.log10(abs(near)))
+    if -5 < first < 6:
+        return f"{near:.{max(places, 0)}f}"
+    return f"{near:.{max(first + places, 0)}e}"
