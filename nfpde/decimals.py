@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import math
 
+_MOST = 7
+"""Significant digits of a value that is known better than anyone reads."""
 
-def places_of(error: float) -> int:
-    """Places behind the point up to the second digit of an error above zero; less than none in front of it."""
-    return 1 - math.floor(math.log10(error))
+
+def places_of(error: float, value: float = 0.0) -> int:
+    """Places behind the point up to the second digit of an error above zero; less than none in front of it.
+
+    Of a value no more than seven digits are told, however well it is known.
+    """
+    places = 1 - math.floor(math.log10(error))
+    return min(places, _MOST - 1 - math.floor(math.log10(abs(value)))) if value else places
 
 
 def rounded(value: float, places: int) -> str:

@@ -23,7 +23,8 @@ def with_interval(v: Fitted) -> tuple[str, str]:
     if not (math.isfinite(half) and math.isfinite(v.value) and half > 0):
         numbers = [f"{x:.{_DIGITS}g}" if math.isfinite(x) else "–" for x in (v.value, v.low, v.high)]
     else:
-        numbers = [rounded(x, places_of(half)) for x in (v.value, v.low, v.high)]
+        places = places_of(half, max(v.value, v.low, v.high, key=abs))
+        numbers = [rounded(x, places) for x in (v.value, v.low, v.high)]
     return numbers[0], f"{numbers[1]} to {numbers[2]}"
 
 

@@ -6,9 +6,6 @@ import math
 
 from nfpde.decimals import places_of, rounded
 
-_MOST = 7
-"""Significant digits of a value that is known better than anyone reads; fit.json has all of them."""
-
 
 def number(value: float) -> str:
     """Three significant digits."""
@@ -16,9 +13,7 @@ def number(value: float) -> str:
 
 
 def with_std(value: float, std: float) -> str:
-    """A value and its standard deviation, to the second digit of the latter, but to no more than seven of the value."""
+    """A value and its standard deviation, to the second digit of the latter; fit.json has all digits."""
     if not (math.isfinite(value) and math.isfinite(std) and std > 0):
         return f"{number(value)} ± {number(std)}"
-    told = places_of(std)
-    most = _MOST - 1 - math.floor(math.log10(abs(value))) if value else told
-    return f"{rounded(value, min(told, most))} ± {rounded(std, told)}"
+    return f"{rounded(value, places_of(std, value))} ± {rounded(std, places_of(std))}"
