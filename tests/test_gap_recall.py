@@ -55,16 +55,18 @@ def test_only_what_is_new_is_simulated(windows):
 
 
 def test_replays_with_the_same_effects_share(windows):
-    """One made anew knows what another predicted; one with an effect, or alone, does not."""
+    """One made anew knows what another predicted; one with an effect, with another one, or alone, does not."""
     recall, n, xi = Recall(), len(windows), np.ones((1, 1))
     friction = effect("coulomb_friction", "slide", torque=(0.0, 1.0))
-    other = effect("coulomb_friction", "slide", torque=(0.0, 1.0))
+    same = effect("coulomb_friction", "slide", torque=(0.0, 1.0))
+    other = effect("viscous_damping", "slide", damping=(0.0, 1.0))
     asked(replay(recall), xi, windows)
     assert asked(replay(recall), xi, windows)[1] == 0
     assert asked(replay(None), xi, windows)[1] == n
     both = np.array([[1.0, 0.3]])
     assert asked(replay(recall, [friction]), both, windows)[1] == n
     assert asked(replay(recall, [friction]), both, windows)[1] == 0
+    assert asked(replay(recall, [same]), both, windows)[1] == 0
     assert asked(replay(recall, [other]), both, windows)[1] == n
 
 

@@ -12,7 +12,7 @@ from nfpde.cli.models import DEVICE_HELP, DIFFERENTIATE_HELP, MODEL_HELP, model_
 from nfpde.cli.telling import telling
 from nfpde.errors import BadInput
 from nfpde.explained import explained_space
-from nfpde.gap import GapReport, diagnose_gap, write_report
+from nfpde.gap import GapReport, Journal, diagnose_gap, write_report
 from nfpde.parameters import ParameterSpace
 from nfpde.sim import Device
 
@@ -22,7 +22,7 @@ def command(
     data: Annotated[
         Path, typer.Argument(metavar="DATA", help="recordings of a robot: .npz, .csv, .parquet, or a folder")
     ],
-    out: Annotated[Path, typer.Option(help="folder for diagnosis.json and report.html")],
+    out: Annotated[Path, typer.Option(help="folder for the results; an interrupted diagnosis goes on from it")],
     params: Annotated[
         Path | None, typer.Option(help="parameters.toml: what may vary, within which bounds; without it nothing may")
     ] = None,
@@ -42,7 +42,8 @@ def command(
     """Diagnose the gap between a model and recordings: where it lies, which effects cause it, how far it shrinks.
 
     Writes diagnosis.json, report.html (opens offline) and summary.png, and where the gap is explained explained.toml:
-    the parameters for `nfpde fit`, those of the effects found among them.
+    the parameters for `nfpde fit`, those of the effects found among them. The same command goes on where an interrupted
+    one stopped.
     """
     space = None if params is None else ParameterSpace.from_toml(params)
     dataset = read_dataset(data, resample, differentiate, model)
@@ -50,13 +51,20 @@ def command(
     explained = out / "explained.toml"
     if params is not None and params.resolve() == explained.resolve():
         raise BadInput(f"{params} is what the diagnosis of {out} writes; give another folder for this one")
-    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before minutes of work
-    with telling(quiet) as tell:
+    # a folder that cannot be made is told before minutes of work
+    with telling(quiet) as tell, Journal(out, tell) as journal:
         found = diagnose_gap(
-            nominal, dataset, space, seed=seed, windows=windows, device=device, robot=robot, report=tell
+            nominal,
+            dataset,
+            space,
+            seed=seed,
+            windows=windows,
+            device=device,
+            robot=robot,
+            journal=journal,
+            report=tell,
         )
-    path = found.save(out)
-    page = write_report(found, out)
+        path, page = found.save(out), write_report(found, out)
     for line in found.summary:
         typer.echo(line)
     typer.echo(f"{path}: the answer, for machines")

@@ -2,6 +2,7 @@
 
 from nfpde.gap.diagnose import diagnose_gap as diagnose_gap
 from nfpde.gap.html_report import write_report as write_report
+from nfpde.gap.journal import Journal as Journal
 from nfpde.gap.report import Cause as Cause
 from nfpde.gap.report import Distance as Distance
 from nfpde.gap.report import Fitted as Fitted

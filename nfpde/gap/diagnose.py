@@ -20,6 +20,7 @@ from nfpde.gap.answer import Outcome, answer
 from nfpde.gap.checks import check_fit, check_readings
 from nfpde.gap.found import surely
 from nfpde.gap.halves import FEWEST
+from nfpde.gap.journal import Journal
 from nfpde.gap.late import believed
 from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import windows_for
@@ -49,6 +50,7 @@ def diagnose_gap(
     nthread: int = 0,
     device: Device = "auto",
     robot: str | None = None,
+    journal: Journal | None = None,
     report: Callable[[str], None] = lambda what: None,
 ) -> GapReport:
     """Say where the gap between a model and recordings lies, which effects cause it, and how far it shrinks.
@@ -66,6 +68,7 @@ def diagnose_gap(
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
         robot: Label of the robot that is meant, where recordings are of several.
+        journal: Keeps what is simulated, so that the same call goes on where this one was stopped.
         report: Called with what is being done.
 
     Returns:
@@ -83,7 +86,7 @@ def diagnose_gap(
             check_count(value, name, least)
     dataset = _of_one(dataset, robot)
     mjmodel = load_model(model)
-    recall = Recall()
+    recall = Recall(journal=journal)
     start = Replay(mjmodel, space, [], nthread, device, recall)
     dataset = start.sim.prepare(dataset)
     check_readings(mjmodel, dataset)
@@ -114,7 +117,7 @@ def diagnose_gap(
     search = Search(
         start, dataset, candidates, guesses, windows, seed, select, report, weights, meets=meets, force=force
     )
-    error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches)
+    error = resting_error(mjmodel, space, search.cut(), guesses, nthread, capped=search.touches, recall=recall)
     dataset = without_error(mjmodel, dataset, error)
     search = replace(search, dataset=dataset)
     check_fit(start, dataset, search.cut(), guesses[0])
@@ -129,7 +132,8 @@ def diagnose_gap(
     near = shown if found.near is stage else found.near
     effects, typical, said = tuple(accepted), scales.force, computed.sentence
     outcome = Outcome(dataset, shown, near, final, effects, selection, sigma, typical, seed, said, error, found.by)
-    return answer(outcome, time.monotonic() - begin)
+    before = 0.0 if journal is None else journal.seconds
+    return answer(outcome, before + time.monotonic() - begin)
 
 
 def _of_one(dataset: Dataset, robot: str | None) -> Dataset:

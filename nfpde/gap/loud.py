@@ -86,9 +86,9 @@ def noise_residuals(
     found = []
     for draw in range(draws):
         push = pushed[draw % len(pushed)][None]
-        a = replay.predict(xi[None], windows, push)[0][:, steps]
+        a = replay.predict(xi[None], windows, push, steps)[0]
         moved = started_beside(replay, windows, rng.normal(size=(len(windows), 2 * nv)) * sigma)
-        apart = replay.sim.states.difference(replay.predict(xi[None], moved, push)[0][:, steps], a)
+        apart = replay.sim.states.difference(replay.predict(xi[None], moved, push, steps)[0], a)
         found.append(replay.by_dof(apart + sigma * rng.normal(size=apart.shape)))
     return np.array(found)
 

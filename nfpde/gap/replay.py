@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from nfpde.dataset import Windows
 from nfpde.effects import Effect, Quantity, World
 from nfpde.effects.effect import overrides
+from nfpde.gap.identity import identity_of
 from nfpde.gap.inertia import inertia_of
 from nfpde.gap.recall import Recall
 from nfpde.parameters import ParameterSpace
-from nfpde.sim import Device, MujocoSimulator, make_simulator
+from nfpde.sim import Device, MujocoSimulator, make_simulator, runs_on
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class Replay:
         effects: The effects.
         nthread: Threads; 0 takes all cores this process may use.
         device: Where to simulate, see `make_simulator`.
-        recall: What replays of the same model and space have predicted; None: this one's alone.
+        recall: What other replays have predicted; None: this one's alone.
 
     Attributes:
         space: the free parameters as given.
@@ -83,6 +84,8 @@ class Replay:
         self.sim = make_simulator(model, space, acting, device=device, check_influence=False)
         if isinstance(self.sim, MujocoSimulator) and nthread:
             self.sim.nthread = nthread
+        where = "cpu" if isinstance(self.sim, MujocoSimulator) else runs_on(self.sim)
+        self._who = identity_of(model, space, effects, where)
         self.nv = model.nv
         self.nbase = (0 if space is None else len(space)) + sum(len(e.parameters) for e in beside)
         self.low, self.high = self.sim.space.low[: -self.nv], self.sim.space.high[: -self.nv]
@@ -129,10 +132,29 @@ class Replay:
             low[self.columns(index)], high[self.columns(index)] = effect.straight_bounds()
         return low, high
 
-    def predict(self, xi: Array, windows: Windows, force: Array | None = None) -> Array:
-        """Predicted measurements (M, N, H, nx) of free parameters (M, D), with a generalized force (M, nv) or none."""
+    def predict(
+        self, xi: Array, windows: Windows, force: Array | None = None, steps: NDArray[np.intp] | None = None
+    ) -> Array:
+        """Predicted measurements (M, N, H, nx) of free parameters (M, D).
+
+        Args:
+            xi: Free parameters.
+            windows: What is predicted.
+            force: Generalized forces (M, nv) beside; None: none.
+            steps: After which control steps, from 0 on; None: after each.
+        """
         force = np.zeros((len(xi), self.nv)) if force is None else force
-        return self._recall.predict(self.effects, self.sim.predict, np.hstack([xi, force]), windows)
+        rows = slice(None) if steps is None else steps
+
+        def simulate(some: Array) -> Array:
+            return self.sim.predict(some, windows)[:, :, rows]
+
+        def read(count: int) -> None:
+            taken = len(windows) * windows.horizon * self.sim.substeps(windows.control_dt)
+            self.sim.simulated_steps += count * taken
+
+        who = self._who + (b"" if steps is None else steps.tobytes())
+        return self._recall.predict(who, simulate, np.hstack([xi, force]), windows, read)
 
     def residuals(self, xi: Array, windows: Windows, horizons: Sequence[int], force: Array | None = None) -> Array:
         """Predicted - measured by degree of freedom: free parameters (M, D) to (M, N, nv, 2 horizons).
@@ -145,7 +167,7 @@ class Replay:
         parts = []
         for start in range(0, len(xi), size):
             part = slice(start, start + size)
-            states = self.predict(xi[part], windows, None if force is None else force[part])[:, :, steps]
+            states = self.predict(xi[part], windows, None if force is None else force[part], steps)
             parts.append(self.by_dof(self.sim.states.difference(states, windows.target[:, steps])))
         return np.concatenate(parts)
 
@@ -187,12 +209,12 @@ def displaced(
     """
     steps, channels = np.array(horizons) - 1, len(size)
     forces = np.zeros((1, replay.nv)) if forces is None else forces
-    there = [replay.predict(xi[None], windows, force[None])[0][:, steps] for force in forces]
+    there = [replay.predict(xi[None], windows, force[None], steps)[0] for force in forces]
     change = np.zeros((2, channels, *there[0].shape[:2], channels))
     for channel in np.flatnonzero(size > 0):
         which = channel % len(forces)
         for side, sign in enumerate((1.0, -1.0)):
             moved = started_beside(replay, windows, sign * size * (np.arange(channels) == channel))
-            ends = replay.predict(xi[None], moved, forces[which][None])[0][:, steps]
+            ends = replay.predict(xi[None], moved, forces[which][None], steps)[0]
             change[side, channel] = replay.sim.states.difference(ends, there[which])
     return np.nan_to_num(change, posinf=0.0, neginf=0.0)

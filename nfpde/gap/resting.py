@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from nfpde.dataset import Dataset
 from nfpde.effects.joint_offset import JointOffset
 from nfpde.gap.brief import brief
+from nfpde.gap.recall import Recall
 from nfpde.gap.recordings import Recordings
 from nfpde.gap.replay import Replay
 from nfpde.gap.stage import first_fit
@@ -51,6 +52,7 @@ def resting_error(
     nthread: int = 0,
     *,
     capped: bool,
+    recall: Recall | None = None,
 ) -> Array:
     """By how much joints that rest at one reading read too high, at most half a step of their encoders (nv,).
 
@@ -64,6 +66,7 @@ def resting_error(
         guesses: Free parameters to start from, the nominal ones first (G, D).
         nthread: Threads; 0 takes all cores this process may use.
         capped: See `first_fit`.
+        recall: Keeps predictions.
     """
     encoders = recordings.encoders
     grain = np.where(encoders.resting(model), encoders.grain(model)[: model.nv], 0.0)
@@ -71,12 +74,12 @@ def resting_error(
     error = np.zeros(model.nv)
     if not len(dofs):
         return error
-    nominal = Replay(model, space, [], nthread).predict(guesses[:1], recordings.fit)[0]
+    nominal = Replay(model, space, [], nthread, recall=recall).predict(guesses[:1], recordings.fit)[0]
     if np.isfinite(nominal).all((1, 2)).mean() < _SOUND:
         return error
     halves = 0.5 * grain[dofs]
     effects = [ReadingOffset(int(model.dof_jntid[d]), offset=(-h, h)) for d, h in zip(dofs, halves, strict=True)]
-    replay = Replay(model, space, effects, nthread)
+    replay = Replay(model, space, effects, nthread, recall=recall)
     starts = np.hstack([guesses, np.zeros((len(guesses), len(dofs)))])
     base, court = first_fit(replay, (brief(recordings) or [recordings])[0], starts, capped=capped)
     fit = base.fit
