@@ -154,7 +154,7 @@ def test_what_is_taken_is_told_apart(tmp_path, windows, monkeypatch):
 def test_an_effect_that_cannot_be_compared_is_like_no_other(tmp_path, windows, monkeypatch):
     """One that holds a function, and one whose class is written nowhere."""
     holding = Wind("slide", force=(-1, 1))
-    holding.profile = lambda t: t
+    vars(holding)["profile"] = lambda t: t
     space = {}
     exec("class Typed(Wind):\n    pass", {"Wind": Wind, "__name__": "nowhere"}, space)
     for number, own in enumerate((holding, space["Typed"]("slide", force=(-1, 1)))):

@@ -68,9 +68,8 @@ class Journal:
         OSError: the file cannot be opened or read.
 
     Example:
-        >>> with Journal("diagnosis") as journal:
-        ...     report = diagnose_gap("arm.xml", data, space, journal=journal)
-        ...     report.save("diagnosis")
+        An answer that is written before the file goes:
+        `with Journal(out) as journal: diagnose_gap(model, data, space, journal=journal).save(out)`
     """
 
     def __init__(self, folder: Path | str, report: Callable[[str], None] = lambda what: None, most: int = MOST) -> None:
@@ -98,7 +97,9 @@ class Journal:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._alone:
-            self._file = None
+            if self._file is not None:  # some systems remove no file that is open
+                self._file.close()
+                self._file = None
             if kind is None or issubclass(kind, NfpdeError):
                 self.path.unlink(missing_ok=True)
         if kind is not None and issubclass(kind, KeyboardInterrupt) and self._at:
@@ -151,7 +152,7 @@ class Journal:
     def _stop(self, why: str) -> None:
         """Keep nothing more; what is kept can still be read."""
         self._full = True
-        self._report(f"{why}: what is simulated from here on is not kept for after a stop")
+        self._report(f"{why}: what is simulated from here on would be simulated again after a stop")
 
 
 def _read(file: FileIO, start: int, size: int) -> bytes:
