@@ -7,51 +7,39 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 from nfpde.bench import code
-from nfpde.dataset import Dataset, Episode
 from nfpde.effects import Effect, Quantity, effect
 from nfpde.errors import BadDataset, BadInput
 from nfpde.gap import Journal, diagnose_gap, identity, journal
 from nfpde.gap.recall import Recall
 from nfpde.gap.replay import Replay
 from nfpde.parameters import Parameter, ParameterSpace
+from tests.gap_cart import cart, cart_windows
 from tests.gap_systems import nominal, record
 
-CART = """
-<mujoco><option timestep="0.01"/><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
-<geom size=".1" mass="{mass}"/></body></worldbody><actuator><motor joint="slide"/></actuator></mujoco>
-"""
-LIGHT = CART.format(mass=1)
-HORIZON = 3
 XI = np.array([[1.0, 0.2], [1.5, 0.4]])
 
 
-def mass(low=0.5, **options):
-    return ParameterSpace([Parameter("body_mass", "cart", low, 2.0, scale_inertia=False, **options)])
+def mass(**options):
+    return ParameterSpace([Parameter("body_mass", "cart", 0.5, 2.0, scale_inertia=False, **options)])
 
 
-def friction(name="coulomb_friction", **bounds):
-    return effect(name, "slide", **(bounds or {"torque": (0.0, 1.0)}))
+def friction():
+    return effect("coulomb_friction", "slide", torque=(0.0, 1.0))
 
 
-def replay(journal=None, xml=LIGHT, space=None, effects=None):
+def replay(journal=None, model=None, space=None, effects=None):
     """A model of one's own, as a process has it that knows nothing but the file."""
     effects = [friction()] if effects is None else effects
-    recall = Recall(journal=journal)
-    return Replay(mujoco.MjModel.from_xml_string(xml), space or mass(), effects, nthread=1, recall=recall)
+    return Replay(model or cart(), space or mass(), effects, nthread=1, recall=Recall(journal=journal))
 
 
 @pytest.fixture
 def windows():
-    rng = np.random.default_rng(0)
-    rows = 30
-    qpos, qvel, ctrl = rng.normal(size=(3, rows, 1))
-    data = Dataset([Episode("only", 0.01 * np.arange(rows), qpos, qvel, ctrl)])
-    return data.windows(HORIZON, stride=HORIZON, history=2)
+    return cart_windows()
 
 
 def simulated(one, monkeypatch):
@@ -109,7 +97,7 @@ class Draught(Wind):
     [
         ({}, {}, True),
         ({}, {"effects": [friction()]}, True),
-        ({}, {"xml": CART.format(mass=2)}, False),
+        ({}, {"model": cart(mass=2)}, False),
         ({}, {"space": mass(relative=True)}, False),
         ({}, {"space": mass(unit="g")}, False),  # does the same, but nobody would miss it
         ({}, {"effects": [effect("viscous_damping", "slide", damping=(0.0, 1.0))]}, False),
@@ -271,6 +259,7 @@ import os, signal, sys
 from nfpde import ParameterSpace
 from nfpde.gap import Journal, diagnose_gap
 from nfpde.parameters import Parameter
+from tests.gap_cart import cart, cart_windows
 from tests.gap_systems import nominal, record
 
 left = [int(sys.argv[2])]

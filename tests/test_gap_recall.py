@@ -2,38 +2,28 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
-from nfpde.dataset import Dataset, Episode
 from nfpde.effects import effect
 from nfpde.gap import diagnose_gap
 from nfpde.gap.recall import Recall
 from nfpde.gap.replay import Replay
 from nfpde.gap.shelf import Shelf
 from nfpde.parameters import Parameter, ParameterSpace
+from tests.gap_cart import HORIZON, cart, cart_windows
 from tests.gap_systems import nominal, record
 
-MASS = """
-<mujoco><option timestep="0.01"/><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
-<geom size=".1" mass="1"/></body></worldbody><actuator><motor joint="slide"/></actuator></mujoco>
-"""
 SPACE = ParameterSpace([Parameter("body_mass", "cart", 0.5, 2.0, scale_inertia=False)])
-HORIZON = 3
 
 
 @pytest.fixture
 def windows():
-    rng = np.random.default_rng(0)
-    rows = 30
-    qpos, qvel, ctrl = rng.normal(size=(3, rows, 1))
-    data = Dataset([Episode("only", 0.01 * np.arange(rows), qpos, qvel, ctrl)])
-    return data.windows(HORIZON, stride=HORIZON, history=2)
+    return cart_windows()
 
 
 def replay(recall, effects=()):
-    return Replay(mujoco.MjModel.from_xml_string(MASS), SPACE, effects, nthread=1, recall=recall)
+    return Replay(cart(), SPACE, effects, nthread=1, recall=recall)
 
 
 def asked(one, xi, windows, force=None):
